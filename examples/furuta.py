@@ -44,7 +44,7 @@ def by_a_cost_function() -> None:
 
 
 def by_a_calibration() -> pydfo.Fit:
-    """Fits with a description of model, recording and parameters; the computation is native code."""
+    """Fits with a `Calibration`, which runs as native code."""
     calibration = pydfo.Calibration(
         PENDULUM,
         data=RECORDING,

@@ -66,7 +66,7 @@ def turned(n: int) -> np.ndarray:
 
 
 def functions(n: int) -> dict[str, tuple[Cost, np.ndarray]]:
-    """Returns costs with minimum 0, and their starts."""
+    """Returns cost functions with minimum 0 and their start points, by name."""
     q, exponent = turned(n), np.arange(n) / (n - 1)
     start = np.ones(n)
     return {

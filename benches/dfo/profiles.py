@@ -21,7 +21,7 @@ class Seen:
 
 @dataclass
 class Outcome:
-    """The runs of a set."""
+    """Results of the runs of a set of problems."""
 
     target: float | None
     taus: tuple[float, ...]

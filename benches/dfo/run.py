@@ -38,7 +38,7 @@ RESULTS = Path(__file__).parent / "results"
 
 @dataclass(frozen=True)
 class Set:
-    """Problems with their budget (units of n + 1; of n where `per_n`), tolerances, solvers and seeds."""
+    """Problems with budget (in units of n + 1, or of n if `per_n`), tolerances, solvers and seeds."""
 
     what: str
     problems: Callable[[int], list[Problem]]

@@ -1,4 +1,4 @@
-//! Archives that are well formed except for false fields, which random bytes do not reach.
+//! Well-formed archives with some false fields, which random bytes would not produce.
 #![no_main]
 
 #[path = "../../crates/fmi/tests/promises/mod.rs"]

@@ -53,7 +53,7 @@ pub enum CalibrationError {
         /// Error of this experiment.
         source: Box<CalibrationError>,
     },
-    /// A file is not a saved fit, or not one of this version.
+    /// A file is not a saved fit, or was written by another version.
     #[error("{name}: {message}")]
     SavedFit {
         /// The file.

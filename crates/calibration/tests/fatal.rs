@@ -57,7 +57,7 @@ fn workers_use_a_shared_library_one_at_a_time() {
 
 /// An instance that cannot be terminated makes its loaded library unusable but fails no evaluation.
 #[test]
-fn fatal_status_at_the_end_of_a_run_changes_no_cost() {
+fn fatal_status_at_the_end_of_a_run_does_not_change_the_cost() {
     let honest = faulty(&[]);
     let expected = fit(&calibration(Fmu::open(honest.path()).unwrap()), 1, 60);
     for (status, workers) in [("fmi2Fatal", 1), ("fmi2Fatal", 3), ("fmi2Error", 2)] {

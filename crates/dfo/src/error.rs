@@ -20,7 +20,7 @@ pub enum Error {
     /// The start point has no parameters.
     #[error("the start point (x0) is empty; expected at least one parameter")]
     Empty,
-    /// A list does not have one entry per parameter.
+    /// The length of a list differs from the number of parameters.
     #[error("{what}: expected {expected} values, one per parameter; got {got}")]
     Length {
         /// Name of the list.

@@ -11,7 +11,7 @@ use dfo::{
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-/// Every method, and also Nelder-Mead with its widest plan.
+/// Returns every method, with additional batch plans for Nelder-Mead.
 fn methods() -> Vec<AnyMethod> {
     let mut all: Vec<AnyMethod> = methods_for_costs();
     all.push(NelderMead::default().batch(Lookahead::Points(20)).into());

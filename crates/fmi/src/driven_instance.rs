@@ -136,7 +136,7 @@ pub enum InstanceAnswer {
     Events(EventOutcome),
     /// True if the model requests event mode, and true if it requests the end of the simulation.
     StepEnd(bool, bool),
-    /// Time that was reached, and true if the model ended the simulation at that time.
+    /// Time reached, and true if the model ended the simulation at that time.
     Reached(f64, bool),
     /// Result of a step.
     Step(StepOutcome),
@@ -266,7 +266,7 @@ pub struct DrivenInstance {
 }
 
 impl DrivenInstance {
-    /// Reason reported for an instance that was closed.
+    /// Reason reported for a closed instance.
     pub const CLOSED: &'static str = "the instance has been closed";
 
     /// Creates an instance. **This loads the library and runs its code.**
@@ -281,7 +281,7 @@ impl DrivenInstance {
         Ok(Self { state, saved: BTreeMap::new(), n_saved: 0 })
     }
 
-    /// Creates an instance that was freed for this reason. Calls that require the instance fail with this
+    /// Creates an instance already freed for this reason. Calls that require the instance fail with this
     /// reason.
     pub fn freed(reason: &'static str) -> Self {
         Self { state: State::Freed(reason), saved: BTreeMap::new(), n_saved: 0 }

@@ -40,7 +40,7 @@ const HIDDEN_STATE: &str = "a simulation depends on earlier ones in the same pro
 #[derive(Debug, Clone)]
 pub struct Fmu {
     inner: Arc<Inner>,
-    /// Path that was passed when the FMU was opened.
+    /// Path passed when the FMU was opened.
     path: Arc<Path>,
     /// Description with added units; `None` if the description of the file is used unchanged.
     with_units: Option<Arc<ModelDescription>>,
@@ -54,7 +54,7 @@ struct Inner {
     turns: Arc<FairLock>,
     /// Value references of the variables of type Real and their positions, sorted. Built on first use.
     real_references: OnceLock<Vec<(u32, usize)>>,
-    /// Departures from the standard that were detected in runs.
+    /// Departures from the standard detected in runs.
     quirks_seen: Mutex<Vec<Quirk>>,
     /// A [`Reuse`], stored as its number.
     reuse: AtomicU8,
@@ -103,7 +103,7 @@ impl std::str::FromStr for InterfaceChoice {
 
 impl Fmu {
     getters! {
-        /// Returns the path that was passed when the FMU was opened.
+        /// Returns the path passed when the FMU was opened.
         pub path(self) -> &Path = &self.path;
         /// Returns the model description.
         pub description(self) -> &ModelDescription = self.with_units.as_deref().unwrap_or(&self.inner.description);
@@ -299,7 +299,7 @@ impl Fmu {
         Some(workers)
     }
 
-    /// Adds departures from the standard that were detected in a worker process. New ones are also sent to
+    /// Adds departures from the standard detected in a worker process. New ones are also sent to
     /// the program's logger.
     pub fn add_quirks(&self, quirks: Vec<Quirk>) {
         for Quirk { kind, message, .. } in quirks {
@@ -332,7 +332,7 @@ impl Fmu {
         self.note_quirk(kind, message);
     }
 
-    /// Returns the number of late differences ([`give_up`](Self::give_up)).
+    /// Returns the number of calls of [`give_up`](Self::give_up) with a late difference.
     pub fn n_late(&self) -> u64 {
         self.inner.n_late.load(Ordering::Relaxed)
     }
@@ -342,7 +342,7 @@ impl Fmu {
         if self.inner.options.logging.shown { log::Level::Info } else { log::Level::Debug }
     }
 
-    /// Adds a departure from the standard that was detected in a run to the quirks. A new one is also sent to
+    /// Adds a departure from the standard, detected in a run, to the quirks. A new one is also sent to
     /// the program's logger.
     pub(crate) fn note_quirk(&self, kind: QuirkKind, message: impl AsRef<str> + Into<String>) {
         let mut seen = self.inner.quirks_seen.lock().unwrap_or_else(PoisonError::into_inner);
@@ -388,7 +388,7 @@ impl Fmu {
         self.inner.is_to_be_repeated.swap(false, Ordering::Relaxed)
     }
 
-    /// Returns the departures from the standard that were detected in runs of the FMU. The departures in its
+    /// Returns the departures from the standard detected in runs of the FMU. The departures in its
     /// description are in [`ModelDescription::quirks`](crate::ModelDescription::quirks).
     pub fn quirks_seen(&self) -> Vec<Quirk> {
         self.inner.quirks_seen.lock().unwrap_or_else(PoisonError::into_inner).clone()

@@ -48,7 +48,7 @@ fn is_error(status: Status) -> bool {
     matches!(status, Status::Error | Status::Fatal | Status::Unknown(_))
 }
 
-/// The last lines that an instance logged, and the number of earlier lines that were dropped.
+/// The last lines that an instance logged, and the number of dropped earlier lines.
 #[derive(Debug)]
 pub(crate) struct Lines {
     pub(crate) kept: VecDeque<LogLine>,

@@ -4,8 +4,8 @@ use crate::macros::words;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// Relative difference of two numbers up to which they count as equal. A value that was stored in single
-/// precision, or printed and read, may differ by this much.
+/// Relative difference of two numbers up to which they count as equal. A value stored in single precision, or
+/// printed and read, may differ by this much.
 const FEWER_DIGITS: f64 = 1e-6;
 
 /// True if two values are the same number, up to a loss of digits.

@@ -61,7 +61,7 @@ pub enum ErrorKind {
     },
     /// The error test or a discarded point required a step below the resolution of the numbers.
     StepTooSmall {
-        /// True if the model refused the last point that was tried (discard, NaN or infinity).
+        /// True if the model refused the last tried point (discard, NaN or infinity).
         discarded: bool,
     },
     /// The requested step cannot distinguish two instants of this span. It is the step of a fixed-step method
@@ -198,7 +198,7 @@ impl ErrorKind {
     }
 }
 
-/// Kind of values that were evaluated.
+/// Kind of the evaluated values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Evaluated {

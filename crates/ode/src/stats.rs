@@ -88,7 +88,7 @@ impl AddAssign for Checks {
 /// Counts and times of a run, or sums over several runs. Comparison uses the counts only.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Stats {
-    /// Runs that were started.
+    /// Number of started runs.
     #[serde(default)]
     pub runs: u64,
     /// Accepted steps.

@@ -20,7 +20,7 @@ const LONGEST: f64 = 1e-4;
 #[derive(Debug, Clone, Copy, Default)]
 struct Tally {
     seconds: f64,
-    /// Seconds of the last fast call that was timed.
+    /// Seconds of the last timed fast call.
     usual: f64,
     /// Number of consecutive fast calls.
     fast: u32,
@@ -116,7 +116,7 @@ impl<const KINDS: usize> Stopwatch<KINDS> {
     }
 
     /// Ends the measurement. Returns the duration of this call in seconds if it was timed, and otherwise the
-    /// duration of the last fast call that was timed.
+    /// duration of the last timed fast call.
     #[inline]
     pub fn stop(&mut self, timing: Timing) -> f64 {
         match timing.began {

@@ -37,7 +37,7 @@ fn warm_driver_does_not_allocate() {
 
 /// `x' = -y`, `0 = y - k x` from a guess of y. Every second, k changes, and y changes with it.
 struct Valve {
-    /// None: the system is given by its residual.
+    /// Mass matrix; `None` if a residual defines the system.
     mass: Option<[f64; 4]>,
     k: f64,
     corrections: u32,

@@ -24,7 +24,7 @@ def shifted_gives_up(x, by, *, cutoff=math.inf):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_stopping_at_cutoff_changes_no_decision(method):
+def test_stopping_at_cutoff_does_not_change_decisions(method):
     run = {**RUN, "method": method, "max_evaluations": 300}
     plain, less = minimize(rosenbrock, **run), minimize(gives_up, **run)
     assert plain.trace.x.tobytes() == less.trace.x.tobytes()

@@ -443,7 +443,7 @@ def test_run_ends_with_call_that_reaches_the_target(method, workers):
     assert (res.success, res.nfev, res.status) == (True, 1, 10)
 
 
-def test_cutoffs_change_no_count():
+def test_cutoffs_do_not_change_counts():
     def cost(x):
         return float(((x - [3.3, -4.1, 1.7]) ** 2).sum() + 3 * (1 - np.cos(2 * (x - [3.3, -4.1, 1.7]))).sum())
 

@@ -356,7 +356,7 @@ def test_model_may_be_closed_during_simulation():
 
 @pytest.fixture
 def ctrl_c():
-    """Presses Ctrl-C after a delay; the list then contains the time."""
+    """Presses Ctrl-C after a delay, and appends the time to the list."""
     before = signal.getsignal(signal.SIGINT)
     pressed = []
 

@@ -99,7 +99,7 @@ def test_misuse_is_rejected_and_early_ends_are_handled():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_stopping_above_cutoff_changes_no_decision(method):
+def test_stopping_above_cutoff_does_not_change_decisions(method):
     run = {**RUN, "max_evaluations": 300}
     opt = Optimizer(method, **run)
     given_up = 0

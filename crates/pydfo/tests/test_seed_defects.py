@@ -14,7 +14,7 @@ QUIET = {"disp": False}
 
 
 def probe(x):
-    """Returns Rosenbrock's function with three regions without a cost, near the path from (-0.5, 1)."""
+    """Returns Rosenbrock's function, or NaN in three regions near the path from (-0.5, 1)."""
     if x[0] + x[1] < -0.2 or (x[0] > 0.2 and x[1] < 0.02) or x[1] > 1.6:
         return np.nan
     return rosenbrock(x)

@@ -86,7 +86,7 @@ impl Comparisons {
     }
 }
 
-/// Returns the bits of an answer, and no bits for a failed simulation. Returns `None` if the answer depends
+/// Returns the bits of an answer; empty for a failed simulation. Returns `None` if the answer depends
 /// on the clock: the context or a time limit may have ended the simulation.
 pub(super) fn bits_of<T>(
     told: &Result<T, FmiError>,

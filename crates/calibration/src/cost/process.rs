@@ -52,8 +52,8 @@ pub(super) struct Processes {
     load: Load,
     /// Load job with the log of the model switched on.
     logging: Load,
-    /// Reasons of failures without a message of the model that were repeated with its log switched on, with
-    /// the logged messages.
+    /// Failures without a message of the model, by reason, with the messages that a repeated simulation
+    /// logged.
     explained: Mutex<BTreeMap<String, Option<String>>>,
     comparisons: Comparisons,
     /// Frames for reuse.
@@ -363,7 +363,7 @@ impl Remote {
                     Some(again) if again != fresh => {
                         self.processes.comparisons.is_random.store(true, Ordering::Relaxed);
                     }
-                    // Also if the search was cancelled before the model could be found to be random.
+                    // This also applies if the search was cancelled before the model could be identified as random.
                     _ => {
                         self.processes.comparisons.note_passed(reuse);
                         self.processes.give_up(reuse);

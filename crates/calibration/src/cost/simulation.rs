@@ -307,7 +307,7 @@ fn initial_states(
         kind == InterfaceKind::ModelExchange || !matches!(initial, InitialState::Value(_))
     };
     let is_state = |name: &&String| {
-        // An element of an array has no declaration of its own.
+        // An element of an array has no separate declaration.
         let array = name.split('[').next().unwrap_or_default();
         let variable = description.variable(name).or_else(|| description.variable(array));
         variable.is_some_and(|v| matches!(v.causality, Causality::Local | Causality::Output))

@@ -17,7 +17,7 @@ pub(super) struct Records<'t> {
 }
 
 impl<'t> Records<'t> {
-    /// Creates the records of a text and returns them with their delimiter.
+    /// Splits a text into records. Returns the records and the delimiter of their cells.
     pub(super) fn new(text: &'t str) -> (Self, u8) {
         let mut records = Self { text, at: 0, line: 1, delimiter: b',' };
         records.skip();

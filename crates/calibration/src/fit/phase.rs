@@ -102,7 +102,7 @@ impl Phases {
         self.begin(phase, stats);
     }
 
-    /// Begins a phase when the effort before it is counted elsewhere.
+    /// Begins a phase without counting the previous effort, which is counted elsewhere.
     pub(crate) fn begin(&mut self, phase: FitPhase, stats: &Stats) {
         self.now = (phase, Instant::now(), Effort::of(stats, Duration::ZERO));
         // This phase runs in parallel with the phases after it.

@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// Minimum time between two drawings of the state, however many readers there are. Drawing uses at most a
+/// Minimum time between two drawings of the state, for any number of readers. Drawing uses at most a
 /// tenth of the time.
 const PAUSE: Duration = Duration::from_millis(900);
 const SHARE: u32 = 10;
@@ -108,7 +108,7 @@ impl Page {
         *lock(&self.report) = Some(report.replacen("</main>", CLOSE, 1).into());
     }
 
-    /// Answers a request that was received at the address of the server.
+    /// Answers a request received at the address of the server.
     pub(super) fn answer(&self, request: &Request, own: SocketAddr) -> Response {
         // Another host name for this address belongs to a site that tries to reach the server through its
         // visitors' browsers.

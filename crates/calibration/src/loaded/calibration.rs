@@ -1,4 +1,4 @@
-//! A problem and its model, ready to evaluate: cost, residuals, trajectories, cutoff.
+//! A problem with its opened model, for evaluating cost, residuals and trajectories.
 
 use crate::cost::comparison::ProcessChoice;
 use crate::cost::failure::{CostFailure, PointFailure};
@@ -105,7 +105,7 @@ impl Calibration {
         }
     }
 
-    /// Creates a calibration from its model and a problem that was stored or received from another process.
+    /// Creates a calibration from its model and a problem stored by or received from another process.
     /// It checks the problem, but does not simulate yet.
     ///
     /// # Errors

@@ -63,7 +63,7 @@ pub(crate) struct Simulations<'a> {
     pub(crate) workers: usize,
     /// Context, checked on the calling thread.
     pub(crate) context: RunContext<'a>,
-    /// Number of points that were simulated.
+    /// Number of simulated points.
     pub(crate) n: usize,
     pub(crate) stats: Stats,
     /// Effort of simulations that do not serve the standard errors; it is a part of `stats`.

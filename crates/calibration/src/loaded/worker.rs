@@ -28,7 +28,7 @@ pub fn serve_if_worker() {
 
 #[derive(Default)]
 struct Server {
-    /// The model that was opened last, with its session.
+    /// The most recently opened model, with its session.
     model: Option<(ModelFile, Session)>,
     calibration: Option<Calibration>,
     /// The instance that is driven step by step.

@@ -23,7 +23,7 @@ macro_rules! untagged {
 untagged! {
     /// A value for each name, or only names, which are then also the values.
     Pairs<T> { ByName(BTreeMap<String, T>), InOrder(Vec<(String, T)>), Alike(Vec<String>) }
-    /// A number or something else.
+    /// A number, or a value of another type.
     NumberOr<T> { Number(f64), Other(T) }
     /// The weight of an output: a number or a column.
     OutputWeight { Number(Positive), Column(String) }

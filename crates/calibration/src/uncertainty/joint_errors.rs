@@ -32,7 +32,7 @@ pub(crate) struct JointErrors {
 }
 
 impl JointErrors {
-    /// True for a fit that was loaded from a file without joint errors.
+    /// True for a fit loaded from a file without joint errors.
     pub(crate) fn is_empty(&self) -> bool {
         self.covariance.is_empty()
     }

@@ -77,7 +77,7 @@ pub struct Preflight {
     pub workers: usize,
     /// Findings, sorted so that causes come first; empty if there are none.
     pub findings: Vec<Finding>,
-    /// Number of points that were simulated.
+    /// Number of simulated points.
     pub n_simulations: usize,
 }
 

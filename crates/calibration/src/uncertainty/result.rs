@@ -114,8 +114,7 @@ pub struct Uncertainty {
     /// Correlation of the parameters, n x n, row by row. It is NaN if a standard error is zero or infinite.
     pub correlation: Vec<f64>,
     /// Covariance under the assumption of independent residuals; see [`uncorrected`](Self::uncorrected).
-    /// `None` if the residuals of no output are autocorrelated, because the two covariances are then the
-    /// same.
+    /// `None` if no output has autocorrelated residuals, because the two covariances are then equal.
     pub uncorrected_covariance: Option<Vec<f64>>,
     /// Autocorrelation rho at lag one that the covariance assumes for the residuals of each output of each
     /// experiment, `s^2 rho^|i - j|`. The order is the order of the residual vector. It is the
@@ -249,8 +248,8 @@ impl Uncertainty {
         own
     }
 
-    /// Returns the standard errors under the assumption of independent residuals. Returns `None` if the
-    /// residuals of no output are autocorrelated.
+    /// Returns the standard errors under the assumption of independent residuals. Returns `None` if no
+    /// output has autocorrelated residuals.
     pub fn uncorrected_errors(&self) -> Option<Vec<f64>> {
         self.uncorrected_covariance
             .as_deref()

@@ -19,7 +19,7 @@ pub(crate) struct ThinSvd {
     pub(crate) v_t: DMatrix<f64>,
 }
 
-/// Checks the context between two operations of about 10 ms.
+/// Checks whether the work may continue. Called about every 10 ms.
 ///
 /// # Errors
 /// Returns [`CalibrationError::Cancelled`] if the work must end.

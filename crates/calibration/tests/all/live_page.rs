@@ -199,7 +199,7 @@ fn page_responds_when_other_clients_send_nothing() {
 
 /// Costs, evaluated points and simulations are equal with and without a viewer.
 #[test]
-fn live_page_changes_no_result_of_a_fit() {
+fn live_page_does_not_change_fit_result() {
     let fitted = |page: Option<(&LivePage, &str, &str)>| -> (Fit, usize) {
         let calibration = decay();
         let mut n_seen = 0;

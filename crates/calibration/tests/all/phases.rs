@@ -66,7 +66,7 @@ fn fit_reports_interrupted_checks() {
     assert!(!says(&calibration.fit(FitOptions::default()).unwrap()));
 }
 
-/// With `auto`, a fit runs only the simulations of its trace, in the first fit and in the second.
+/// With `auto`, neither the first nor the second fit runs simulations outside its trace.
 #[test]
 fn fit_runs_only_the_simulations_of_its_trace() {
     let calibration = decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Auto, None);

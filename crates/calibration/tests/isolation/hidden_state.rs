@@ -53,7 +53,7 @@ fn fit_is_correct_when_the_model_has_hidden_state() {
                 let run = RunOptions {
                     method: method.clone(),
                     limits: Limits { max_evaluations: Some(80), ..Limits::default() },
-                    // One process, which still exists when the fit compares its best point.
+                    // The same process still exists when the fit compares its best point.
                     workers: Some(2),
                     seed: Some(5),
                     ..FitOptions::default_run()

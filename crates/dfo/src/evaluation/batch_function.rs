@@ -95,7 +95,7 @@ pub(crate) struct Batches<'a> {
     /// Answers. Those before `next` have already been returned.
     answers: Vec<Answer>,
     next: usize,
-    /// Ids of points that were cancelled before the function received them.
+    /// Ids of points cancelled before the function received them.
     withdrawn: Vec<u64>,
     /// Points that are passed one by one after a panic.
     alone: Range<usize>,
@@ -180,7 +180,7 @@ impl Evaluator for Batches<'_> {
             return Polled::Idle;
         }
         if self.answers.len() < len {
-            // Points that were submitted while the answers of the last call were returned.
+            // Points submitted while the answers of the last call were returned.
             let new = self.answers.len()..len;
             self.answers.resize_with(len, Answer::default);
             match self.call(new.clone(), wait.signals) {

@@ -141,7 +141,7 @@ impl CountedBatch {
         limits.max_evaluations.map_or(usize::MAX, |m| m.saturating_sub(spent))
     }
 
-    /// Returns the answer for a point that was evaluated before the run was resumed, or ahead of need.
+    /// Returns the answer for a point evaluated before the run was resumed, or ahead of need.
     fn evaluated_before(&mut self, batch: &Batch, k: usize) -> Option<Answer> {
         match self.store.take(batch.point(k), &batch.query(k), self.cutoff_use)? {
             Ok((known, is_of_path)) => {

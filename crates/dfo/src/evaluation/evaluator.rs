@@ -52,7 +52,7 @@ pub trait Evaluator {
     fn submit(&mut self, x: &[f64], query: Query<'static>);
 
     /// Writes the next answer into `answer`; waits for one if necessary. Each submitted point is answered
-    /// exactly once. A point that was cancelled before it started is answered with [`Outcome::Skipped`].
+    /// exactly once. A point cancelled before it started is answered with [`Outcome::Skipped`].
     fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled;
 
     /// Cancels a point whose answer is no longer needed. It need not start, and a running evaluation may

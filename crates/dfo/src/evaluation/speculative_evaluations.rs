@@ -20,7 +20,7 @@ const FIRST_WASTE: usize = 16;
 /// Number of workers up to which `WASTE` applies.
 const FEW_WORKERS: f64 = 64.0;
 
-/// An evaluation that was started ahead of need.
+/// An evaluation started ahead of need.
 #[derive(Debug)]
 struct SpeculativePoint {
     x: Vec<f64>,
@@ -38,7 +38,7 @@ pub(crate) struct SpeculativeEvaluations {
     under_way: Vec<SpeculativePoint>,
     asked: Batch,
     spare: Vec<Vec<f64>>,
-    /// Hashes of the points of `asked`, later of the points in progress.
+    /// Hashes of the points of `asked`, and later of the points in progress.
     hashes: Vec<u64>,
     /// True if answers come one at a time, which means that a speculative evaluation was running when a round
     /// began.

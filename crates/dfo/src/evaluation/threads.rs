@@ -129,9 +129,10 @@ impl<'a> Shared<'a> {
 /// Condition under which the calling thread also evaluates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum OnCallingThread {
-    /// If evaluations are known to be short.
+    /// Evaluates if evaluations are known to be short.
     WhenShort,
-    /// If evaluations are too short to be handed over, and for the first evaluation, to measure its duration.
+    /// Evaluates if evaluations are too short to be handed over. Also makes the first evaluation, to measure
+    /// its duration.
     AtFirst,
 }
 

@@ -450,7 +450,7 @@ pub trait AnswersSoFar {
     /// Returns the answer to point `k` of the last batch, if it is available.
     fn answer(&self, k: usize) -> Option<&Answer>;
 
-    /// Returns the answer to this query at a point that was evaluated ahead of need.
+    /// Returns the answer to this query at a point evaluated ahead of need.
     fn ahead(&self, x: &[f64], query: &Query<'_>) -> Option<Answer>;
 }
 
@@ -492,7 +492,7 @@ pub trait Method {
     /// Returns an error if no batch was requested, or if there are more answers than points.
     fn tell(&mut self, answers: &Answers) -> Result<(), Error>;
 
-    /// Like [`tell`](Self::tell), with answers that nobody reads afterwards. A method that keeps residuals
+    /// Like [`tell`](Self::tell), with answers that are not read afterwards. A method that keeps residuals
     /// takes them ([`Answers::take_residuals`]) instead of copying them, because a copy of many residuals is
     /// slow.
     ///

@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn stratified_samplings_leave_no_slice_empty() {
+    fn stratified_samplings_fill_every_slice() {
         assert_eq!(empty_slices(Sampling::LatinHypercube, 7, 50), 0);
         assert_eq!(empty_slices(Sampling::Sobol, 40, 64), 0);
         assert!(empty_slices(Sampling::Uniform, 7, 50) > 50);

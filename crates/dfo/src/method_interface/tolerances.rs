@@ -16,8 +16,8 @@ pub struct Limits {
     pub max_iterations: Option<usize>,
     /// Wall-clock time. No evaluation starts after it.
     pub max_time: Option<Duration>,
-    /// Cost at or below which an evaluation of the path ends the run. Later points that were evaluated
-    /// together with it count as made ahead of need.
+    /// Cost at or below which an evaluation of the path ends the run. Later points evaluated together with
+    /// it count as made ahead of need.
     pub target: Option<f64>,
     /// Fraction of failed evaluations above which the run ends, from 0 to 1. Checked after at least 20
     /// evaluations.

@@ -188,7 +188,7 @@ const LIST: [Listed; 10] = [
 /// were not compared with Nelder-Mead at those sizes.
 const MOST_FOR_MODELS: usize = 60;
 
-/// Makes one call on whichever method `$any` contains.
+/// Makes one call on the method that `$any` contains.
 macro_rules! each {
     ($any:expr, $options:ident => $call:expr) => {
         match $any {

@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn squares_are_the_losses_of_scipy() {
+    fn reduced_squares_match_scipy() {
         // scipy.optimize._lsq.least_squares: rho at z = 0.25 and z = 9.
         let z = [0.25f64, 9.0];
         let expected = [
@@ -294,7 +294,7 @@ mod tests {
                 let slope = loss.slope(r);
                 assert!((0.0..=1.0 + 1e-12).contains(&slope), "{loss} {r} {slope}");
                 last = s;
-                // If the square has any effect: the inverse, within the rounding of the logarithm.
+                // The inverse returns r within the rounding of the logarithm, unless the square underflows.
                 let back = loss.inverse(s);
                 assert!((back / r - 1.0).abs() < 1e-12 || s == 0.0 || r < 1e-300, "{loss} {r} {s} {back}");
             }

@@ -192,7 +192,8 @@ fn file_failed(path: &Path, e: &std::io::Error) -> Error {
     Error::CheckpointFile { path: path.display().to_string(), kind: e.kind(), message }
 }
 
-/// Reads the state from the file, of whichever run. `None` if there is nothing to continue from.
+/// Reads the state from the file, even if it belongs to another run. `None` if there is nothing to continue
+/// from.
 fn load(options: &Checkpoint) -> Result<Option<Snapshot<'static>>, Error> {
     let path = &options.path;
     let is_required = options.resume == Resume::Require;

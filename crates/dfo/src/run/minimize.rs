@@ -219,7 +219,7 @@ impl<'a, M, D> Minimize<'a, M, D> {
         Minimize { description: Description { options, x0, bounds, transforms, sizes, kinds }, driver, life }
     }
 
-    /// Sets everything that was requested by name.
+    /// Sets all options requested by name.
     pub fn requested(self, requested: RequestedRun) -> Minimize<'a, AnyMethod, D> {
         let RequestedRun { options, scale, nominal, kinds } = requested;
         self.options(options).transforms(&scale).known_scales(&nominal).kinds(&kinds)
@@ -346,8 +346,8 @@ impl<'a, M, D> Minimize<'a, M, D> {
     }
 
     /// Starts from the points of an earlier run. Points outside the box and points with other values of the
-    /// fixed parameters are left out. So are points that failed or were abandoned above a cutoff. The best
-    /// remaining point is the start point, and populations begin with the best remaining points.
+    /// fixed parameters are left out. Points that failed or were abandoned above a cutoff are also left out.
+    /// The best remaining point is the start point, and populations begin with the best remaining points.
     ///
     /// If both runs have the same [`problem`](Self::problem), none of these points is evaluated again.
     /// Otherwise, their costs only determine where to start.
@@ -447,7 +447,7 @@ impl<'a, M> Minimize<'a, M> {
         self
     }
 
-    /// Sets the part of the time limit ([`max_time`](Self::max_time)) that was used before the run begins. If
+    /// Sets the part of the time limit ([`max_time`](Self::max_time)) already used before the run begins. If
     /// the run ends at the limit, its message names the whole limit.
     pub fn spent(mut self, time: Duration) -> Self {
         self.driver.spent = time;

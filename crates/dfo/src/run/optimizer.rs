@@ -164,7 +164,7 @@ impl Optimizer {
         self.advance(&RunContext::new(), |drive, around| drive.interrupt(around))
     }
 
-    /// Returns the number of points that were handed out and are not answered yet.
+    /// Returns the number of points handed out but not answered yet.
     pub fn n_pending(&self) -> usize {
         self.hand.n_pending()
     }

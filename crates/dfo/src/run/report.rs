@@ -102,7 +102,7 @@ pub struct Report {
     /// Active bounds, one entry per parameter: -1 at the lower bound (also for fixed parameters), 1 at the
     /// upper bound, otherwise 0. Empty if there is no Jacobian.
     pub active: Vec<i8>,
-    /// Loss that was applied to the residuals in [`fun`](Self::fun).
+    /// Loss applied to the residuals in [`fun`](Self::fun).
     pub loss: RobustLoss,
     /// Checkpoint from which the run was continued; `None` if the run started fresh.
     #[serde(default)]

@@ -23,7 +23,7 @@ pub type Record = BTreeMap<String, Value>;
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum Value {
-    /// None: the default, no limit or no bound.
+    /// None, which means the default, no limit or no bound.
     #[default]
     Nothing,
     /// True or false.

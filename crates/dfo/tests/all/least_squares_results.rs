@@ -131,7 +131,7 @@ fn batch_ask_tell_and_resumed_runs_agree() {
             optimizer.tell(point.id, objective().answer(&point.x, &point.query())).unwrap();
         }
     }
-    // The optimizer knows only the residuals passed to `tell`, without the loss that was applied to them.
+    // The optimizer knows only the residuals passed to `tell`, without the loss applied to them.
     let told = optimizer.report().unwrap();
     assert!(is_near(&told.x, &report.x, 1e-4), "{told}");
     assert!((told.sum_of_squares().unwrap() / report.fun - 1.0).abs() < 1e-6);

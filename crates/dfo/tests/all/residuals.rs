@@ -17,7 +17,7 @@ struct StencilsState {
     #[serde(with = "bits")]
     x: Vec<f64>,
     cost: Option<f64>,
-    /// Bits of all values that were passed to `tell`.
+    /// Bits of all values passed to `tell`.
     seen: Vec<u64>,
     round: u64,
     n_points: u64,

@@ -1,4 +1,4 @@
-//! A run that was stopped anywhere continues bit for bit, and a finished run returns its stored result.
+//! A run stopped at any point continues bit for bit, and a finished run returns its stored result.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use crate::{checkpoint, common};

@@ -1,5 +1,4 @@
-//! Requirements on Nelder-Mead on problems that were not used for tuning: the odd halves of the fits and
-//! boxes.
+//! Requirements on Nelder-Mead for problems that were not used for tuning: fits and boxes with odd numbers.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::problems;

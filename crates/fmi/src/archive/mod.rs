@@ -269,7 +269,7 @@ impl Archive {
 }
 
 impl Folder {
-    /// Opens a folder, and checks that its files can be those of an FMU.
+    /// Opens a folder, and checks that its files could belong to an FMU.
     fn open(path: &Path, limits: &ArchiveLimits) -> Result<Self> {
         let root = std::path::absolute(path).map_err(FmiError::io("find", path))?;
         if !root.join(MODEL_DESCRIPTION).is_file() {

@@ -67,9 +67,9 @@ pub(super) struct Packed {
 #[derive(Debug, Default)]
 struct Unpacked {
     folder: Option<PrivateFolder>,
-    /// True for each entry that was unpacked.
+    /// True for each unpacked entry.
     done: Vec<bool>,
-    /// Folders that were created, with an identity that changes if a file in the folder is removed.
+    /// Created folders, with an identity that changes if a file in the folder is removed.
     folders: HashMap<PathBuf, Option<FileIdentity>>,
 }
 
@@ -212,7 +212,7 @@ impl Packed {
 }
 
 impl Unpacked {
-    /// Detects files that were removed, for example by programs that clean folders for temporary files. Marks
+    /// Detects files removed by others, for example by programs that clean folders for temporary files. Marks
     /// these files as not unpacked, and recreates the private folder if necessary. Returns the number of
     /// missing files.
     fn look_after(&mut self, entries: &[Record]) -> Result<usize> {

@@ -128,8 +128,7 @@ fn new_lock(path: &Path) -> Option<File> {
     None
 }
 
-/// Age after which a folder without a lock counts as left behind by a process that was killed while creating
-/// it.
+/// Age after which a folder without a lock counts as left behind by a process killed while creating it.
 const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 
 /// Removes the folders in `base` with a lock file of ours that is not locked, because their processes have
@@ -178,7 +177,7 @@ fn has_our_layout(folder: &Path) -> bool {
     fs::read_dir(folder).is_ok_and(|mut entries| entries.all(is_ours))
 }
 
-/// Removes the remains of a process that was killed while creating a folder: empty folders, and a lock file
+/// Removes the remains of a process killed while creating a folder: empty folders, and a lock file
 /// with its temporary name. On a file system without locks, a folder in use is not empty.
 fn remove_begun(folder: &Path) {
     let unnamed = folder.join(NEW_LOCK);

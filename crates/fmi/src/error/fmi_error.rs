@@ -93,7 +93,7 @@ pub enum FmiError {
     ArchiveLimit {
         /// Path of the archive.
         path: PathBuf,
-        /// Quantity that was counted.
+        /// Counted quantity.
         what: &'static str,
         /// Count that was found (lower bound).
         found: u64,
@@ -147,7 +147,7 @@ pub enum FmiError {
     NoCompiler {
         /// Model identifier of the interface.
         model_identifier: String,
-        /// Compiler names that were tried.
+        /// Compiler names tried.
         tried: String,
     },
     /// The C compiler rejected the sources.
@@ -167,7 +167,7 @@ pub enum FmiError {
     NoBinary {
         /// Path of the FMU.
         path: PathBuf,
-        /// Folders that were searched, in order.
+        /// Searched folders, in order.
         wanted: String,
         /// Folders in the FMU (with their machine types).
         present: String,
@@ -260,7 +260,7 @@ pub enum FmiError {
         /// Phases that allow the call.
         needed: &'static str,
     },
-    /// A call of an instance driven by the user that was freed; contains the reason.
+    /// A call of a freed instance that the user drives. Contains the reason.
     #[error("{0}")]
     Freed(&'static str),
     /// A saved state belongs to another instance, another FMU or another interface.
@@ -277,7 +277,7 @@ pub enum FmiError {
     /// The model has no variable of this name.
     #[error("the model has no variable \"{name}\"{}", did_you_mean(nearest))]
     UnknownVariable {
-        /// Name that was requested.
+        /// Requested name.
         name: String,
         /// Similar names, the most similar first.
         nearest: Vec<String>,
@@ -346,7 +346,7 @@ pub enum FmiError {
     StateNotTaken {
         /// Name of the variable.
         name: String,
-        /// Value that was requested.
+        /// Requested value.
         given: f64,
         /// Value after the initialization.
         found: f64,
@@ -396,7 +396,7 @@ pub enum FmiError {
     /// The result does not contain this variable.
     #[error("\"{name}\" is not in the result; available: {present}")]
     NotInResult {
-        /// Name that was requested.
+        /// Requested name.
         name: String,
         /// Names in the result.
         present: String,

@@ -65,7 +65,7 @@ impl LoadedLibrary {
         }
     }
 
-    /// Records the settings that are made in the copy.
+    /// Adds these settings to the record of settings made in this copy.
     pub(super) fn note_set(&self, settings: Option<&[Setting]>) {
         let mut set = self.set.lock().unwrap_or_else(PoisonError::into_inner);
         *set = match (set.take(), settings) {

@@ -79,8 +79,8 @@ pub struct RunSettings {
     /// default experiment's step size. The row spacing is used instead if that step size would result in more
     /// than 1e6 steps.
     ///
-    /// If the model supports steps of any length, rows are also communication points. So are the times at
-    /// which an input jumps or changes its slope. If the model does not receive input derivatives, so are the
+    /// If the model supports steps of any length, rows and times at which an input jumps or changes its slope
+    /// are also communication points. If the model also does not receive input derivatives, this includes all
     /// times at which an input changes its value.
     pub step_size: Option<f64>,
     /// Maximum step of the adaptive methods.

@@ -2,8 +2,8 @@
 //! worker before its `main`.
 
 /// Runs a function before the `main` of a program if this library was preloaded to serve as a worker process
-/// (see `worker::Launcher`). Otherwise, it does nothing. This avoids the start of the program. For example,
-/// the start of Python takes milliseconds, and a worker does not need Python.
+/// (see `worker::Launcher`), and does nothing otherwise. A worker thus starts without the program: for
+/// example, starting Python takes milliseconds, and a worker does not need Python.
 #[macro_export]
 macro_rules! serve_before_main {
     ($serve:path) => {

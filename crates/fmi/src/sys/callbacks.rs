@@ -70,7 +70,7 @@ impl Callbacks {
     }
 }
 
-/// Addresses of the environments that were passed to FMUs.
+/// Addresses of the environments passed to FMUs.
 static KNOWN: Mutex<Vec<usize>> = Mutex::new(Vec::new());
 
 /// Returns the environment at an address, or NULL.
@@ -101,7 +101,7 @@ impl Environment {
         Self { admits, sink, data: std::ptr::from_ref(log).cast_mut().cast() }
     }
 
-    /// Registers the environment for messages from threads that call no instance.
+    /// Registers the environment, so that it receives messages from threads that are not inside a call.
     fn make_known(&'static self) {
         let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
         if known.is_empty() {

@@ -19,7 +19,7 @@ pub(super) type Derivative =
     signature!((*const u32, usize, *const u32, usize, *const f64, usize, *mut f64, usize));
 
 table! {
-    /// Functions with one type in all versions that have them.
+    /// Functions that have the same type in every FMI version that provides them.
     pub(super) struct Functions {
         both {
             get_version[Text] = optional "fmiGetVersion" | "fmi2GetVersion" | "fmi3GetVersion";

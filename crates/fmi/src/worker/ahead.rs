@@ -4,7 +4,7 @@ use super::launcher::Launcher;
 use super::platform::Starter;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
-/// A program that was started in advance. It ends when this value is dropped, unless it is in use.
+/// A program started in advance. It ends when this value is dropped, unless it is in use.
 #[derive(Debug)]
 pub struct StartedAhead(Mutex<Option<Ahead>>);
 

@@ -47,7 +47,7 @@ pub(super) struct Assigned<Channel> {
     pub(super) page: &'static Page,
     /// Folder that belongs to this worker.
     pub(super) folder: PathBuf,
-    /// True if this process already has the problem that was loaded for all workers.
+    /// True if this process already has the problem loaded for all workers.
     pub(super) has_loaded: bool,
 }
 

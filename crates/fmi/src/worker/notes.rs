@@ -1,5 +1,5 @@
 //! Notes that a worker sends with its answers: lines for the program's logger, and departures from the
-//! standard that were detected in runs.
+//! standard detected in runs.
 
 use crate::description::Quirk;
 use log::{Level, Log, Metadata, Record};

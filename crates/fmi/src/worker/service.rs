@@ -21,6 +21,6 @@ pub trait Service {
     /// Compiles and loads the model, so that the first answer is faster.
     fn prepare(&mut self);
 
-    /// Returns the departures from the standard that were detected in runs since the last call.
+    /// Returns the departures from the standard detected in runs since the last call.
     fn new_quirks(&mut self) -> Vec<Quirk>;
 }

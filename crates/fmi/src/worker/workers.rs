@@ -29,7 +29,7 @@ const START: Duration = Duration::from_secs(60);
 /// Maximum start time of a confined worker, which first compiles the sources of its model.
 const START_CONFINED: Duration = Duration::from_secs(600);
 
-/// Maximum time to wait for a worker that was started in advance.
+/// Maximum time to wait for a worker started in advance.
 const PREPARED: Duration = Duration::from_secs(10);
 
 /// Maximum number of requests that a worker may ask to repeat. It needs two trials to determine whether a
@@ -149,7 +149,7 @@ impl PinnedProcess {
         self.workers.limits()
     }
 
-    /// True if this process started the worker. False in a child that was forked from the starting process.
+    /// True if this process started the worker. False in a child forked from the starting process.
     pub fn is_own(&self) -> bool {
         self.process.is_own()
     }
@@ -249,8 +249,7 @@ impl Workers {
         Process::begin(&starter, loaded, start, place)
     }
 
-    /// Returns the starter of workers. Uses one that was started in advance, or starts a new one, if
-    /// necessary.
+    /// Returns the starter of workers. Uses a starter prepared in advance, or starts a new one.
     fn starter(&self, load: &Load) -> Result<(Arc<Starter>, LoadId), FmiError> {
         let mut idle = self.idle();
         if let Some(known) = idle.starter.as_ref().filter(|(starter, _)| !starter.is_broken()) {
@@ -580,8 +579,8 @@ fn ask<T>(
     }
 }
 
-/// Returns the error for an answer that does not fit into the memory of this process. `answer` is the part
-/// that was received.
+/// Returns the error for an answer that does not fit into the memory of this process. `answer` is the
+/// received part.
 fn no_memory(answer: &Frame) -> FmiError {
     let bytes = 8 * answer.numbers.len() as u64;
     FmiError::Memory { what: "the received part of the result of the worker process".to_owned(), bytes }

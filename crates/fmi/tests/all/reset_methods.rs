@@ -1,4 +1,4 @@
-//! Resets, and values that are set before and after them.
+//! Resets of instances, with values set before and after the reset.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 

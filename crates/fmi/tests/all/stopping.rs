@@ -103,7 +103,7 @@ fn ended(fmu: &Fmu, way: Way, options: impl Fn(SimulateOptions) -> SimulateOptio
         }
         (ended, _) => panic!("{way:?}: {ended:?}"),
     };
-    // An instance that was stopped inside its events is not used again.
+    // An instance stopped inside its events is not used again.
     if way == Way::Observer && !values.is_empty() {
         simulator.run(&[1.0], &mut Ignore).unwrap();
     }

@@ -87,7 +87,7 @@ pub(crate) struct Domains {
     pub(super) resets: Vec<bool>,
     /// True for indicators that came from the domain `z > 0` at their last event.
     pub(super) from_above: Vec<bool>,
-    /// True for indicators that an event has turned back and that have been small since.
+    /// True for indicators that have stayed small since an event reversed them.
     pub(super) bounces: Vec<bool>,
     /// Slopes at the start of the step of indicators that may return in it; NaN if unused.
     pub(super) slopes: Vec<f64>,

@@ -7,7 +7,7 @@ use crate::common;
 use common::*;
 use ode::*;
 
-/// How the right-hand side detects the force, and how the two instants are declared.
+/// Method by which the right-hand side detects the force and the two instants are declared.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Kind {
     /// The right-hand side reads the time; indicators `t - a`, `t - b`.
@@ -22,7 +22,7 @@ enum Kind {
     Clock,
     /// Announced time events that set a mode.
     ClockMode,
-    /// One indicator of a state, and the right-hand side reads that state.
+    /// One indicator that depends on a state; the right-hand side reads that state.
     State,
 }
 

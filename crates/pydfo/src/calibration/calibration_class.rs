@@ -138,8 +138,8 @@ impl PyCalibration {
         Ok(PyBytes::new(py, &state(self.inner())?))
     }
 
-    /// Returns the answer of a simulation for a fit elsewhere, as bytes. `loss`: the loss of the residuals,
-    /// as bytes. `seconds`: the remaining time of the fit, if it has a limit.
+    /// Simulates at `x` for a fit in another process, and returns the serialised answer. `loss` is the
+    /// serialised loss of the residuals. `seconds` is the remaining time of the fit, if it has a limit.
     #[pyo3(signature = (x, cutoff, loss, seconds = None))]
     fn answer<'py>(
         &self,

@@ -45,10 +45,10 @@ pub(crate) fn check_parameter(py: Python<'_>, given: PyRecord) -> PyResult<Bound
 #[derive(FromPyObject)]
 pub(crate) struct ExperimentFields {
     pub(crate) name: Option<String>,
-    /// A CSV file; None: `table`.
+    /// Path of a CSV file; `None` if the data are in `table`.
     path: Option<PathBuf>,
     table: Option<Py<PyTable>>,
-    /// Name of the time column of the file; None: "time".
+    /// Name of the time column of the file; default: "time".
     time: Option<String>,
     /// Variable, column, weight.
     outputs: Vec<(String, String, WeightFields)>,

@@ -108,7 +108,7 @@ impl EndRequest {
 }
 
 thread_local! {
-    /// The work during which this thread is calling a Python function.
+    /// End requests of the work whose Python functions this thread is calling.
     static AROUND: RefCell<Vec<Arc<EndRequest>>> = const { RefCell::new(Vec::new()) };
 }
 

@@ -230,8 +230,8 @@ impl Fmu {
             .collect()
     }
 
-    /// Kind, message and line (None: the whole file) of each violation of the standard, in the description or
-    /// observed while the FMU was run.
+    /// Returns kind, message and line (`None` for the whole file) of each violation of the standard, in the
+    /// description or observed while the FMU was run.
     fn quirks(&self) -> Vec<(String, String, Option<u32>)> {
         let quirks = self.description().quirks.iter().cloned().chain(self.fmu.quirks_seen());
         quirks.map(|q| (q.kind.to_string(), q.message, Some(q.line).filter(|line| *line > 0))).collect()

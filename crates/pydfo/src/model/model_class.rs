@@ -113,7 +113,7 @@ pub(crate) struct Request<'py> {
     start_values: Vec<(String, Bound<'py, PyAny>)>,
     #[pyo3(item(6))]
     clock_intervals: Vec<(String, ClockInterval)>,
-    /// None: the default outputs of the model.
+    /// Recorded outputs; default: the default outputs of the model.
     #[pyo3(item(7))]
     outputs: Option<Vec<String>>,
     #[pyo3(item(8))]
@@ -129,7 +129,7 @@ pub(crate) struct Request<'py> {
     record_events: bool,
     #[pyo3(item(13))]
     between_steps: String,
-    /// None: as required by the sandbox.
+    /// Process isolation; default: as required by the sandbox.
     #[pyo3(item(14))]
     isolation: Option<String>,
     /// An SSP parameter file.

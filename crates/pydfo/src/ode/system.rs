@@ -28,14 +28,14 @@ pub(crate) struct Event<'py> {
 pub(crate) enum JacobianSource<'py> {
     Differences,
     Function(Bound<'py, PyAny>),
-    /// By columns.
+    /// Entries by columns.
     Constant(Vec<f64>),
     Sparse(SparseJacobian<'py>),
 }
 
 /// A Jacobian that is a sparse matrix.
 pub(crate) struct SparseJacobian<'py> {
-    /// Function that returns the Jacobian; None: it is constant.
+    /// Function that returns the Jacobian; `None` if the Jacobian is constant.
     pub(crate) function: Option<Bound<'py, PyAny>>,
     /// Row, column and value, if it is constant.
     pub(crate) entries: Vec<(usize, usize, f64)>,
@@ -79,7 +79,7 @@ pub(crate) struct PySystem<'py> {
     pub(crate) on_event: Option<Bound<'py, PyAny>>,
     pub(crate) jacobian: JacobianSource<'py>,
     pub(crate) pattern: Option<JacobianPattern>,
-    /// By columns.
+    /// Entries by columns.
     pub(crate) mass: Option<Vec<f64>>,
     /// True if the ends of all steps and the states after events are stored.
     pub(crate) keeps_steps: bool,

@@ -99,7 +99,7 @@ impl PyObjective {
         }
     }
 
-    /// Fills `answer` from a returned value: a cost, residuals, or the exception that was raised.
+    /// Fills `answer` from a returned value: a cost, residuals, or the raised exception.
     pub(crate) fn answer_from<'py>(
         &self,
         py: Python<'py>,
@@ -113,8 +113,8 @@ impl PyObjective {
     }
 
     /// Evaluates a batch. The function receives all points, shape (points, parameters), their cutoffs, and a
-    /// function that returns whether to stop. It returns for each point a cost, the exception that was
-    /// raised, or Ellipsis for a point that was left out. Called on the calling thread.
+    /// function that returns whether to stop. It returns for each point a cost, the raised exception, or
+    /// Ellipsis for an omitted point. Called on the calling thread.
     pub(crate) fn evaluate_batch(&self, py: Python<'_>, batch: &BatchView<'_>) -> Vec<Outcome> {
         let _inside = Inside::new(&self.stop);
         let mut outcomes = vec![Outcome::Skipped; batch.len()];

@@ -27,7 +27,7 @@ use ode::Stats;
 /// starting a process and threads, 1 to 2 ms (`benches/whole_fits.md`).
 const FEW_RIGHT_HAND_SIDES: u64 = 20_000;
 
-/// Finding about a fit that was interrupted after its search had ended normally.
+/// Finding about a fit interrupted after its search had ended normally.
 const ENDED_EARLY: &str =
     "the fit ended during the checks after the search. Findings and standard errors may be missing";
 

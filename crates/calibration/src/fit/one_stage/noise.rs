@@ -97,7 +97,7 @@ pub struct EstimatedNoise {
     pub n_rounds: usize,
     /// True if the residuals of the last fit confirm its noise to 1 %.
     pub is_settled: bool,
-    /// True if the noise of all outputs is estimated. Otherwise only for outputs whose weights do not state
+    /// True if the noise of all outputs is estimated. False if the weights of some outputs already specify
     /// it.
     pub is_of_all: bool,
 }
@@ -358,7 +358,7 @@ fn weight<'a>(problem: &'a Problem, output: &OutputResiduals) -> &'a Weight {
     &problem.experiments[output.experiment].outputs[output.output].weight
 }
 
-/// Returns the weight of a measurement as far as it describes the noise.
+/// Returns the part of a measurement's weight that describes the noise.
 fn base(problem: &Problem, output: &OutputResiduals, k: usize) -> f64 {
     match weight(problem, output) {
         Weight::Inverse(_) => 1.0,

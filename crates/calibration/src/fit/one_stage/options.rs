@@ -174,7 +174,7 @@ pub struct FitRecord {
     noise: NoiseRule,
     /// True to check the start before the search.
     preflight: bool,
-    /// Estimator of the covariance; none: the uncertainty is not estimated.
+    /// Estimator of the covariance. If null, the uncertainty is not estimated.
     #[serde(deserialize_with = "said")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<Estimator>"))]
     covariance: Option<Option<Estimator>>,

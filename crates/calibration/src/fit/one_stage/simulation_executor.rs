@@ -1,4 +1,4 @@
-//! Fits whose simulations run elsewhere, in an executor or on other machines.
+//! Fits whose simulations run in an executor or on other machines.
 
 use crate::loaded::calibration::Calibration;
 use dfo::{Answer, Evaluator, Query, RobustLoss};
@@ -11,7 +11,7 @@ pub trait SimulationExecutor: Evaluator {
     /// solver. It is the calibration of the fit, or a copy with other weights or tolerances.
     fn begin(&mut self, calibration: &Calibration, loss: RobustLoss);
 
-    /// Returns the statistics of the simulations that were answered since the last call.
+    /// Returns the statistics of the simulations answered since the last call.
     fn take_stats(&mut self) -> Stats;
 }
 

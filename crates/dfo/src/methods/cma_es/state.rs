@@ -255,7 +255,7 @@ impl GenerationRules for CmaRules {
         f64::INFINITY
     }
 
-    /// Replaces the population by the candidates, for any costs.
+    /// Replaces the population by the candidates, whatever their costs.
     fn select(&mut self, pool: &mut Populations) {
         let Populations { setup, population, candidates, .. } = pool;
         candidates.rank();

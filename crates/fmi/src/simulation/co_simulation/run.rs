@@ -165,7 +165,7 @@ impl Run<'_, '_> {
         self.reached_end()
     }
 
-    /// Handles a step that was computed only partly or not at all.
+    /// Handles a step computed only partly or not at all.
     fn cut_short(&mut self, target: &Target, outcome: &StepOutcome, row_inside: bool) -> Step<()> {
         let StepOutcome { reached, early, terminate, event, may_have_ended, .. } = *outcome;
         let time_tolerance = self.plan.time_tolerance;

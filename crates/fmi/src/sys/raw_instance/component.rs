@@ -97,7 +97,7 @@ impl RawInstance {
         pub(crate) time(self) -> Option<f64> = self.time;
         /// Returns the path of the library file.
         pub(crate) library_path(self) -> PathBuf = self.library.path().to_owned();
-        /// Returns the last lines that the FMU logged, and the number of earlier lines that were dropped.
+        /// Returns the last lines that the FMU logged, and the number of dropped earlier lines.
         pub(crate) log(self) -> (Vec<LogLine>, u64) = self.callbacks.log().last(usize::MAX);
     }
 

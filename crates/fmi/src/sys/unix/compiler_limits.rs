@@ -40,7 +40,7 @@ fn set(resource: Resource, most: u64) -> io::Result<()> {
     let most = libc::rlim_t::try_from(most).unwrap_or(libc::RLIM_INFINITY);
     limit.rlim_max = limit.rlim_max.min(most);
     limit.rlim_cur = limit.rlim_cur.min(most);
-    // SAFETY: the address is the address of a local that was initialized.
+    // SAFETY: the address is the address of an initialized local.
     match unsafe { libc::setrlimit(resource, &raw const limit) } {
         0 => Ok(()),
         _ => Err(io::Error::last_os_error()),

@@ -240,7 +240,7 @@ const FIRST_UNKNOWN: u32 = 470;
 
 /// Commands of `ioctl` that are allowed: sizes, modes and the descriptor itself (linux/fs.h,
 /// asm-generic/ioctls.h; the last one is `TCGETS2`). All others can change files, terminals and devices
-/// through a descriptor that was opened for reading.
+/// through a descriptor opened for reading.
 // The type of these numbers differs among C libraries.
 #[allow(clippy::unnecessary_cast)]
 const IOCTLS: [u64; 7] = [

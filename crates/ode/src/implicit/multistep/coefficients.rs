@@ -1,6 +1,6 @@
 //! The coefficients of one step.
 
-/// Highest order of any formula: that of the Adams formulae. Those above 12 have an interval of stability
+/// Highest order of any formula, an Adams formula. Formulae above 12 have an interval of stability
 /// below a hundredth.
 pub(super) const MAX_ORDER: usize = 12;
 /// BDF of order 6 is unstable in most of a sector around the imaginary axis, and higher orders everywhere.

@@ -123,7 +123,7 @@ def pickled(fit: Fit) -> tuple[Any, ...]:
     """Returns the pickle of a fit: the bytes that `Fit.save` writes."""
     native = vars(fit).get("_native")
     if native is None:
-        # A fit that was interrupted twice has only its fields.
+        # A fit interrupted twice has only its fields.
         return _restored_fields, (type(fit), vars(fit))
     calibration = fit._calibration
     return _restored, (native.to_bytes(), calibration._opened, calibration._functions)

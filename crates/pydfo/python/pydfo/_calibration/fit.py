@@ -126,7 +126,7 @@ class Fit(OptimizeResult):
         Sum of the squared weighted residuals at ``x``; equal to ``fun``. If the `noise` was estimated, the weights
         are divided by it. With a loss, the sum of the losses. With another `objective`, the value of the objective.
     objective : str
-        Name of the cost function that was minimised.
+        Name of the minimised cost function.
     rms : float
         Root of the mean squared weighted residual at ``x``, with the weights of the calibration and without the loss.
     noise : FitNoise or None

@@ -66,7 +66,7 @@ class Problem(NamedTuple):
 
 
 class Deadline(NamedTuple):
-    """The end of a fit with a time limit: by the clock of its machine, and in s after the task was sent."""
+    """End of a fit with a time limit: clock time on its machine, and seconds after the task was sent."""
 
     at: float
     machine: str

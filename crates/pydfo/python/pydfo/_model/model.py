@@ -222,7 +222,7 @@ class FMUModel:
         """Returns values of variables: final values after a simulation, and before it the values set or otherwise the
         initial values.
 
-        A simulation that was interrupted or ended by an error does not count.
+        A simulation interrupted or ended by an error does not count.
 
         Parameters
         ----------

@@ -42,7 +42,7 @@ def is_watched() -> bool:
 
 
 class _Plain:
-    """Draws the line without any library."""
+    """Draws the line with plain terminal output."""
 
     def __init__(self) -> None:
         self._width = 0

@@ -77,7 +77,7 @@ fn take_order(
     Ok(None)
 }
 
-/// Workers that were forked from this process and have not been ended, with their numbers.
+/// Workers forked from this process and not ended yet, with their numbers.
 struct Workers {
     folder: PathBuf,
     running: Vec<(Pid, u32)>,

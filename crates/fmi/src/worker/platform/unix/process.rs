@@ -1,4 +1,4 @@
-//! A worker process that was forked from a template, as seen by the process that has started it.
+//! A worker process forked from a template, as seen by the process that started it.
 
 use super::end::{ProcessEnd, in_words};
 use super::fork_server::Starter;

@@ -51,8 +51,8 @@ _MOST_ROWS = 100_000_000
 
 
 def auto_interval(t: float) -> float:
-    """Returns an interval of one, two, four or five times (or parts of) a power of ten that divides `t` into 500 to
-    1000 steps."""
+    """Returns the interval that FMPy uses by default: a round number that divides `t` into 500 to 1000 steps.
+    """
     h = 10.0 ** (np.round(np.log10(t)) - 3)
     n = t / h
     for least, factor in ((2500, 5.0), (2000, 4.0), (1000, 2.0)):

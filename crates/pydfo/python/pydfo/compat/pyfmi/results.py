@@ -15,7 +15,7 @@ class Result:
     Attributes
     ----------
     model : FMUModelBase
-        The model that was simulated.
+        The simulated model.
     options : dict
         Options of the simulation.
     native : SimulationResult
