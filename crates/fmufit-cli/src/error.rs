@@ -120,7 +120,7 @@ impl Error {
             )
             .replace(
                 "parameters is empty. Add a parameter to fit",
-                "there is no parameter to fit: give --parameter NAME=START:LOWER:UPPER",
+                "there are no parameters to fit. Specify --parameter NAME=START:LOWER:UPPER",
             );
         Self { exit, message }
     }

@@ -1,4 +1,4 @@
-"""The diesel exhaust pipe: derivatives, and the nominal trajectory on a record."""
+"""The diesel exhaust pipe: derivatives, names, and the response with nominal parameters."""
 
 from __future__ import annotations
 

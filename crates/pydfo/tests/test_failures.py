@@ -141,7 +141,7 @@ def test_system_exit_point_is_independent_of_workers():
 @pytest.mark.parametrize(
     ("value", "said"),
     [
-        (None, "not None; is a return statement missing?"),
+        (None, "not None. Check for a missing return statement"),
         ("1.5", r"not '1.5' \(str\)"),
         (np.zeros(3), r"not an array of shape \(3,\)"),
         (np.zeros((2, 2)), r"not an array of shape \(2, 2\)"),

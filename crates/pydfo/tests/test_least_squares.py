@@ -190,7 +190,7 @@ def test_changed_number_of_residuals_is_an_error(how):
     [
         (1.0, r"not one number \(1.0\): use minimize for a cost"),
         (np.float64(1), "not one number"),
-        (None, "is a return statement missing"),
+        (None, "Check for a missing return statement"),
         ("abc", "not 'abc'"),
         ([[1.0, 2.0]], r"not one of shape \(1, 2\)"),
         ([1, 1j], "one-dimensional array of numbers"),

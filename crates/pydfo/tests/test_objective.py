@@ -108,7 +108,7 @@ def test_function_exception_ends_the_fit():
         ({"objective": "mae", "loss": "huber"}, ValueError, "a robust loss requires the sum of squares"),
         ({"objective": mean_absolute, "method": "least-squares"}, ValueError, "is not one. Use method auto"),
         ({"objective": lambda measured: 1.0}, TypeError, "positional argument"),
-        ({"objective": lambda measured, simulated: None}, TypeError, "None; is a return statement missing?"),
+        ({"objective": lambda measured, simulated: None}, TypeError, "None. Check for a missing return statement"),
     ],
 )
 def test_bad_objectives_are_rejected(arguments, error, message):

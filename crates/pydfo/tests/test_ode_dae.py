@@ -100,7 +100,7 @@ def test_states_are_consistent_after_events():
         ({"dx0": [math.nan] * 3}, ValueError, "dx0 must be 3 finite values"),
         ({"residual": 3}, TypeError, "residual must be callable"),
         ({"residual": lambda t, y, dy: [1.0]}, ValueError, r"residual must return an array of shape \(3,\)"),
-        ({"residual": lambda t, y, dy: None}, ValueError, "residual must return .*is a return statement missing"),
+        ({"residual": lambda t, y, dy: None}, ValueError, "residual must return .*Check for a missing return statement"),
         ({"atol": [1e-6]}, ValueError, "atol: expected 3 values, one per state; got 1"),
         ({"x0": [math.inf, 0, 0]}, ValueError, "x0 must be finite"),
         ({"t_eval": [0.5, 0.2]}, ValueError, "in the order of the integration"),

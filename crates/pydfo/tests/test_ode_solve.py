@@ -447,7 +447,7 @@ def test_exceptions_keep_their_identity(method):
     ("wrong", "kind", "message"),
     [
         ({"rhs": lambda t, y: [1.0]}, ValueError, r"rhs must return an array of shape \(2,\), not one of shape \(1,\)"),
-        ({"rhs": lambda t, y: None}, ValueError, "rhs must return .* not None; is a return statement missing"),
+        ({"rhs": lambda t, y: None}, ValueError, "rhs must return .* not None. Check for a missing return statement"),
         ({"rhs": lambda t, y: ["a", "b"]}, TypeError, "rhs must return numbers"),
         ({"rhs": lambda t, y: [1j, 0]}, TypeError, "rhs must return numbers"),
         ({"rhs": 3}, TypeError, "rhs must be callable, not 3"),

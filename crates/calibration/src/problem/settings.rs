@@ -117,7 +117,7 @@ impl Serialize for SimulationSettings {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
         let Self { run, isolation, memory_limit, sandbox, max_description_bytes, units } = self;
         let Ok(Value::Record(mut fields)) = Value::of(run) else {
-            return Err(serde::ser::Error::custom("the settings of a run are no record"));
+            return Err(serde::ser::Error::custom("the settings of a run are not a record"));
         };
         let own = [
             ("isolation", Value::of(isolation)),

@@ -67,10 +67,7 @@ pub(super) fn experiment(experiment: &Experiment) -> Vec<Described> {
             "inputs",
             list(experiment.inputs.iter().map(|(variable, source)| input(variable, source)).collect()),
         ),
-        (
-            "hold inputs",
-            experiment.hold_inputs.then(|| "yes, where the simulation continues beyond them".to_owned()),
-        ),
+        ("hold inputs", experiment.hold_inputs.then(|| "yes, before and after the recording".to_owned())),
         ("rows", Some(format!("{}{times}{begins}", data.n_rows))),
         ("column of times", (data.time != "time").then(|| data.time.to_owned())),
         ("mask", data.mask.map(str::to_owned)),

@@ -324,7 +324,7 @@ fn errors_name_the_line_of_a_mistake() {
         ("model.fmu run.csv --parameter k=1:2:3:4", "expected name=start:lower:upper"),
         (
             "model.fmu run.csv --output x",
-            "there is no parameter to fit: give --parameter NAME=START:LOWER:UPPER",
+            "there are no parameters to fit. Specify --parameter NAME=START:LOWER:UPPER",
         ),
         (".", ". is not a model, because the folder contains no modelDescription.xml"),
         (

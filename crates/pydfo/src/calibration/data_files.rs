@@ -130,7 +130,7 @@ impl PyTable {
         }
     }
 
-    /// Returns this recording as read from a file, whose hash is stored in records.
+    /// Returns a copy of this recording that was read from a file. Records then contain the hash of the file.
     fn of_file(&self, py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         let watch = InterruptGuard::without_handler(py);
         match watch.run_here(|context| self.inner.clone().of_file(&path, context)) {

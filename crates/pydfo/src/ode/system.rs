@@ -323,7 +323,7 @@ fn vector(value: &Bound<'_, PyAny>, into: &mut [f64], who: &str) -> PyResult<()>
         Err(PyValueError::new_err(format!("{who} must return an array of shape ({n},), not {what}")))
     };
     if value.is_none() {
-        return wrong("None; is a return statement missing?");
+        return wrong("None. Check for a missing return statement");
     }
     let array = doubles(value, who)?;
     let scalar =

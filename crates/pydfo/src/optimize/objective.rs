@@ -238,7 +238,7 @@ pub(crate) fn number(value: &Bound<'_, PyAny>, who: &str) -> PyResult<f64> {
         ))
     };
     if value.is_none() {
-        return Err(bad("None; is a return statement missing?".to_owned()));
+        return Err(bad("None. Check for a missing return statement".to_owned()));
     }
     if let (Ok(shape), Ok(dtype)) = (value.getattr("shape"), value.getattr("dtype")) {
         if !value.getattr("size").and_then(|s| s.extract::<usize>()).is_ok_and(|size| size == 1) {

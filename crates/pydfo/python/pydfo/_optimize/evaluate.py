@@ -113,7 +113,7 @@ def residual_vector(value: Any) -> FloatArray:
     Raises TypeError for other values."""
     needed = "the function must return the residuals as a one-dimensional array of numbers"
     if value is None:
-        raise TypeError(f"{needed}, not None; is a return statement missing?")
+        raise TypeError(f"{needed}, not None. Check for a missing return statement")
     try:
         array = np.ma.asanyarray(value)
         if array.dtype.kind in "cUSMm":
