@@ -182,7 +182,7 @@ pub struct Uncertainty {
     /// [exactly](Self::is_exact).
     #[serde(default)]
     pub left_to_gain: f64,
-    /// True if no part of that step can be simulated. The decrease is then a prediction.
+    /// True if the simulations along that step failed. The decrease is then a prediction.
     #[serde(default)]
     pub is_at_failures: bool,
     /// Priors that the measurements contradict.

@@ -26,7 +26,7 @@ struct SpeculativePoint {
     x: Vec<f64>,
     query: Query<'static>,
     batch: u64,
-    /// Index in the round's work that waits for the evaluation, once the path has reached it.
+    /// Index of the work item of the round that waits for this evaluation; `None` until the path requests it.
     place: Option<usize>,
     hash: u64,
     is_cancelled: bool,

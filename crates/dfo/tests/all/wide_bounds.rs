@@ -9,8 +9,8 @@ use dfo::{
 
 const UPPER: [f64; 11] = [2.002, 2.1, 3.0, 10.0, 99.0, 101.0, 1e3, 1e5, 1e7, 1e9, 1e12];
 
-/// Decay `exp(-k t)`, measured with k = 2 and a deviation that no k explains, times the size of an offset in
-/// its own unit.
+/// Residuals of a decay `exp(-k t)` with an optional offset. The measurements use k = 2 and a deviation that no k
+/// explains. The offset is in units of 1e-6.
 fn decay(x: &[f64], out: &mut Vec<f64>) {
     out.extend((0..51).map(|i| {
         let t = 0.1 * f64::from(i);

@@ -14,7 +14,7 @@ pub(crate) struct ResetKnowledge {
 /// which ends a rounding error after the stop time (seen in FMUs of 20-sim).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum StopTime {
-    /// Passed: the last step has not been rejected so far.
+    /// Passed: no last step has been rejected so far.
     #[default]
     Told,
     /// The last step was rejected. The next run omits the stop time, for comparison.

@@ -398,7 +398,7 @@ fn copy(to: &mut [f64], from: &[f64]) {
     }
 }
 
-/// True if the FMU already has bit-for-bit these inputs.
+/// True if the inputs of the FMU are already bit-for-bit equal to these.
 fn has(sent: &[f64], inputs: &[f64]) -> bool {
     sent.len() == inputs.len() && sent.iter().zip(inputs).all(|(a, b)| same_bits(*a, *b))
 }

@@ -42,7 +42,7 @@ struct Bodies {
     bodies: Vec<Body>,
     drift: f64,
     drag: f64,
-    /// Factor of the height above the floor in the indicator.
+    /// Sign of the indicator above the floor.
     sign: f64,
     direction: Direction,
     handler: Handler,

@@ -37,7 +37,7 @@ pub(crate) struct At<'a> {
     /// Sizes of the free parameters used by the search.
     pub(crate) sizes: &'a [f64],
     pub(crate) factors: &'a Factors,
-    /// Residuals that belong to the factors.
+    /// Residuals from which the factors were computed.
     pub(crate) residuals: &'a [f64],
 }
 

@@ -147,8 +147,8 @@ pub struct DifferentialEvolution {
     /// / 10 000)^0.3`, at most 18 n, where `b n` is the planned number of evaluations. The default for the
     /// classic scheme is 10 n.
     pub population: Option<usize>,
-    /// Sampling method of the first population; default Latin hypercube, for [`classic`](Self::classic)
-    /// uniform.
+    /// Sampling method of the first population; default Latin hypercube, or uniform
+    /// for [`classic`](Self::classic).
     pub sampling: Sampling,
     /// Repair of coordinates outside the box; default [`Repair::Midpoint`].
     pub repair: Repair,

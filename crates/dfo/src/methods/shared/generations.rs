@@ -68,8 +68,8 @@ pub trait GenerationRules: Serialize + DeserializeOwned {
         None
     }
 
-    /// True if the search continues although all members are one point of integers. It then continues until
-    /// it stalls.
+    /// True if the search continues after all members have reached the same point with integer coordinates.
+    /// It then continues until it stalls.
     fn tries_neighbours(&self, space: &Space) -> bool {
         let _ = space;
         false

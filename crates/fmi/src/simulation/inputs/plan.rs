@@ -172,7 +172,7 @@ impl Inputs {
     }
 }
 
-/// Held column and the target of its value.
+/// Column whose values are held until the next row, and the variable that receives them.
 #[derive(Debug, Clone)]
 pub(super) struct Held {
     pub(super) column: HeldTable,
