@@ -116,8 +116,8 @@ fn plain_loop(n: usize) -> f64 {
     start.elapsed().as_secs_f64() * 1e3 / 20.0
 }
 
-/// Many parameters. Requirement: twice the time of a loop over a matrix. The size of the matrix is the number
-/// of parameters, or the number of interpolation conditions of a model.
+/// Measures the cost with many parameters. Requirement: at most twice the time of a loop over a matrix, whose size
+/// is the number of parameters or of interpolation conditions of a model.
 fn many_parameters() {
     for n in [200, 500, 1000] {
         let evaluations = if n == 1000 { 3000 } else { 6000 };

@@ -87,7 +87,7 @@ pub enum InstanceCall {
     },
     /// Handles the events of a co-simulation at this time; answered with [`InstanceAnswer::Events`].
     HandleEvents(f64),
-    /// Sets the derivatives of these inputs to the vector.
+    /// Sets the derivatives of these inputs. The vector contains their values.
     SetInputDerivatives(Vec<u32>),
     /// Multiplies the input vector by the derivatives. Returns the result, of length `n`, in the vector.
     Derivative {

@@ -64,7 +64,7 @@ pub(crate) enum Attempt {
 pub(crate) enum Consistency {
     /// The equations hold within the tolerances of the states.
     Holds,
-    /// The equations hold after states were changed.
+    /// The equations hold after a change of states.
     Corrected,
     /// No states were found for which the equations hold. `equation` has this `residual`.
     Impossible { equation: usize, residual: f64 },

@@ -22,7 +22,7 @@ ROWS = re.findall(r"^\| `([\w.]+)` \| (works|differs|refused) \|", PAGE.read_tex
 
 
 def found(name):
-    """Returns the object of a name of the table: modules as far as possible, then attributes."""
+    """Returns the object with this name in the table. The name consists of modules, followed by attributes."""
     parts, thing = name.split("."), None
     for k in range(len(parts), 0, -1):
         try:
@@ -66,7 +66,7 @@ MODELS = [
 
 
 def structure(unknowns):
-    """Returns the names of unknowns, with their dependencies and the kinds of these."""
+    """Returns the names of unknowns, with their dependencies and kinds of dependencies."""
     by = [u.dependencies and [v.name for v in u.dependencies] for u in unknowns]
     return list(zip([u.variable.name for u in unknowns], by, [u.dependenciesKind for u in unknowns]))
 

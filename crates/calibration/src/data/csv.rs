@@ -371,7 +371,7 @@ mod tests {
         }
         let e = csv("time;y\n0.5;1,234\n1;2\n").unwrap_err().to_string();
         assert!(e.contains("'0.5' in column 'time', line 2, has a point"), "{e}");
-        // Integers, text, and columns without any sign do not decide about the decimal sign.
+        // Integers, text, and columns without any sign do not determine the decimal sign.
         let d = csv("time;y;n;note\n0;1,5;7;v1.2\n1;2;8;a.b\n").unwrap();
         assert_eq!((d.column("y").unwrap(), d.column("n").unwrap()), (&[1.5, 2.0][..], &[7.0, 8.0][..]));
     }

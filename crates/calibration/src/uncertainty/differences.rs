@@ -89,7 +89,7 @@ pub(crate) struct Differences {
     /// Bend of the residuals over each two-sided step, `r(+) + r(-) - 2 r(0)`, relative to their change
     /// `r(+) - r(-)`; 0 for one-sided steps.
     bends: Vec<f64>,
-    /// Bends that no smooth model can have.
+    /// Bends that are too large for a smooth model.
     pub(crate) roughness: Option<ResidualBend>,
 }
 

@@ -55,7 +55,7 @@ fn validation_window_keeps_its_history() {
     assert_eq!((output.times[0], output.times[10], output.residuals.len()), (2.0, 3.0, 11));
     assert!((output.simulated()[0] - x0 * f64::exp(-2.0)).abs() < 1e-6);
     assert_eq!((validation.n_simulations, validation.stats.accepted_steps > 0), (2, true));
-    // The window of the fit gives the numbers of the fit.
+    // Validation in the window of the fit reproduces the statistics of the fit.
     let again =
         calibration.validate(&fit, &ValidationSet::Windows(vec![(0.0, 1.0)]), &RunContext::new()).unwrap();
     assert_eq!((again.rms, again.scaled_rms()), (fit.rms, fit.scaled_rms()));

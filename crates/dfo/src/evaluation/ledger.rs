@@ -46,8 +46,9 @@ pub(crate) struct Ledger {
     /// running.
     pub(crate) n_guessed: u64,
     pub(crate) n_adopted: usize,
-    /// Number of them that ended before, and number of these that the path reached.
+    /// Number of evaluations started ahead of need that ended before the path reached them.
     n_early: usize,
+    /// Number of these evaluations that the path reached later.
     pub(crate) n_reached: usize,
     pub(crate) best: Best,
     /// Residuals of the best point; empty if unknown.

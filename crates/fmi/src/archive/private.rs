@@ -277,7 +277,7 @@ mod tests {
         File::open(folder).unwrap().set_modified(long_ago).unwrap();
     }
 
-    /// Old folders of a user with such a name, each with one difference from our layout.
+    /// Old folders with such a name that belong to the user. Each differs from our layout in one detail.
     #[test]
     fn sweep_keeps_folders_of_user() {
         type Fill = fn(&Path) -> io::Result<()>;

@@ -230,7 +230,7 @@ impl Process {
         })
     }
 
-    /// Returns the end of a process whose answer cannot be read.
+    /// Returns the failure of a process whose answer cannot be read.
     pub(super) fn unreadable(&mut self, why: &str) -> WorkerEnd {
         self.ended(EndKind::Garbage, why)
     }

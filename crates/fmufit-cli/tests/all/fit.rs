@@ -126,7 +126,7 @@ fn fit_worse_than_a_constant_exits_with_3_and_reports_the_reason() {
     );
     let shown = folder.run("fit problem.toml").out;
     assert!(shown.contains("The fit converged, but its result should not be used: RMS"), "{shown}");
-    // A fit ended early is never a success. A good fit has no reason against it.
+    // A fit ended early is never a success. The result of a good fit is usable.
     assert_eq!(folder.run("fit problem.toml -O method=nelder-mead -O max_evaluations=2 --json").code, 1);
     let good = decay("");
     assert_eq!(json(&good.run("fit problem.toml --json").good())["usable"], true);

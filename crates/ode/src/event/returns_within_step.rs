@@ -147,7 +147,7 @@ impl Domains {
         evaluate(step, &mut self.mid)?;
         for i in 0..self.len() {
             let (z0, z1, z2) = (self.base[i], self.mid[i], self.end[i]);
-            // The speed at the start is similar to the one over the whole step, further into the domain.
+            // The indicator moves further into its domain, at a similar speed at the start and over the whole step.
             let goes_on = !self.resets[i]
                 && z2.abs() > z0.abs()
                 && (0.25..4.0).contains(&((z1 - z0) / step / ((z2 - z0) / h)));

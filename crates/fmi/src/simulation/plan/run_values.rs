@@ -253,7 +253,7 @@ impl RunValues {
         self.set_parameters(core, &self.input_slots, SetAt::Initialization, input.parameters, buffer)
     }
 
-    /// Sets the parameters of a run that are set at the time `set`.
+    /// Sets those parameters of a run that are due at `set`.
     fn set_parameters(
         &self,
         core: &mut Core,

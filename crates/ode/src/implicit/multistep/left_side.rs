@@ -61,7 +61,7 @@ impl LeftSide {
         Self { exclude, ..Self::default() }
     }
 
-    /// True if the left side is `x'`, that is, the system is an ordinary one.
+    /// True if the left side is `x'`, that is, the equations are ordinary differential equations.
     pub(super) fn is_identity(&self) -> bool {
         self.kind == Kind::Identity
     }

@@ -1,4 +1,4 @@
-"""What a fit shows while it runs: a live line, printed lines, a page for a browser."""
+"""Display of a running fit: a live line, printed lines, a page for a browser."""
 
 from __future__ import annotations
 

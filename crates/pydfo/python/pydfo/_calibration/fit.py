@@ -36,7 +36,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 class OutputFit(NamedTuple):
-    """How well a fit reproduces one output of one experiment."""
+    """Agreement of a fit with one output of one experiment."""
 
     experiment: str
     """Name of the experiment."""

@@ -206,7 +206,7 @@ class FMUModel:
 
     @property
     def reuse(self) -> str:
-        """How a worker process resets the model between two simulations.
+        """Method by which a worker process resets the model between two simulations.
 
         "reset" calls the function of the FMU, "reinstantiate" creates a new instance and "process" starts a new
         process. It starts with "reset". If a simulation differs from the equal simulation in a fresh process, it

@@ -1,4 +1,4 @@
-"""The parts of PyFMI's models based on the model description: variables and facts."""
+"""The parts of PyFMI's models based on the model description: variables and general information."""
 
 from __future__ import annotations
 
