@@ -33,7 +33,7 @@ WITH_RESIDUALS = ("least-squares",)
 
 
 def ours(method: str, workers: int | str = 1, residuals: bool = False, **keywords: Any) -> Solver:
-    """Returns a method of pydfo, driven batch by batch; `workers` is the number of workers ("n+4": this many)."""
+    """Returns a method of pydfo, driven batch by batch; `workers` is the number of workers ("n+4" means n + 4)."""
 
     def run(p: Problem, record: Record) -> None:
         # A global search uses the default tolerances, which decide when a local search ends and the next one starts.

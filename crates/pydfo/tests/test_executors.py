@@ -1,4 +1,4 @@
-"""Fits and minimisations on executors: the result equals that of one process despite lost processes."""
+"""Fits and minimisations on executors: the result is the same as with one process, despite lost processes."""
 
 from __future__ import annotations
 

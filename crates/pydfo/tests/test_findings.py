@@ -1,4 +1,4 @@
-"""Findings of a fit: order by cause and usability; units not declared by the model; start values from SSP parameter
+"""Findings of a fit: order by cause, usability, units not declared by the model, and start values from SSP parameter
 files."""
 
 import datetime

@@ -1,5 +1,5 @@
-"""Outputs of every type: strings, bytes, 64-bit integers, arrays as further axes; compared with FMPy, an independent
-importer."""
+"""Outputs of every type, compared with FMPy, an independent importer: strings, bytes, 64-bit integers, arrays as further
+axes."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ def folder(tmp_path, example_files, monkeypatch):
 
 
 def executed(code: str, names: dict[str, object], place: str, line: int) -> None:
-    """Runs a block of Python; its lines are those of the page."""
+    """Runs a block of Python; its line numbers are the line numbers of the page."""
     with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         exec(compile("\n" * (line - 1) + code, place, "exec"), names)

@@ -1,4 +1,4 @@
-"""The working folder and the environment variables seen by a model: those of the caller, in all isolation modes."""
+"""The working folder and the environment variables seen by a model, which match the caller's in all isolation modes."""
 
 import logging
 import os

@@ -130,8 +130,8 @@ impl Rows {
         })
     }
 
-    /// Returns the sentence and the remedy for long gaps in the recording. `is_continuous`: the input is
-    /// interpolated linearly there; other inputs keep their value.
+    /// Returns the sentence and the remedy for long gaps in the recording. If `is_continuous`, the input
+    /// is interpolated linearly there. Otherwise, it keeps its value.
     fn gap(&self, time: &[f64], is_continuous: bool) -> Option<(String, &'static str)> {
         let interval = sampling_interval(&self.times)?;
         let is_sparse = (self.times.len() as f64) < SPARSE * time.len() as f64;

@@ -28,7 +28,7 @@ struct SetParameter {
     value: Value,
     /// True if the value is the name of an enumeration item.
     is_item: bool,
-    /// Unit of the value; `None`: the unit of the variable.
+    /// Unit of the value; default: the unit of the variable.
     unit: Option<String>,
 }
 

@@ -62,9 +62,9 @@ pub struct UncertaintyOptions {
     /// The standard errors of the other parameters are then conditional. In a fit, the parameters that it
     /// [holds](crate::FitOptions::held) are added.
     pub held: Vec<usize>,
-    /// Loss function: the contribution of a residual to the cost; in a fit, the loss of the fit. With a
-    /// robust loss, the covariance belongs to an M-estimator: `mean psi^2 / (mean psi')^2 (J'J)^-1` for each
-    /// output (Huber, Robust Statistics, 1981, section 7.6).
+    /// Loss function, which maps a residual to its contribution to the cost. A fit replaces it by its own
+    /// loss. With a robust loss, the covariance belongs to an M-estimator: `mean psi^2 / (mean psi')^2
+    /// (J'J)^-1` for each output (Huber, Robust Statistics, 1981, section 7.6).
     pub loss: RobustLoss,
     /// True if the cost is the [likelihood](crate::NamedCost::Likelihood), whose information weights each
     /// output by the inverse of its variance. In a fit, it follows from the cost of the fit.

@@ -113,7 +113,7 @@ fn parameter_tied_to_local_parameter_is_local() {
     assert_eq!(calibration.tied_values(&[1.0, 2.0]), expected);
 }
 
-/// The start of a decay is a linear parameter, so the minimum is that of a linear regression with a prior.
+/// The start of a decay is a linear parameter, so the minimum is the solution of a linear regression with a prior.
 #[test]
 fn prior_is_a_residual_but_not_a_measurement() {
     let (mean, sd, weight) = (2.0, 0.1, 5.0);

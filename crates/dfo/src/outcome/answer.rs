@@ -1,5 +1,5 @@
-//! Answer to an evaluation: a cost, "above the cutoff", or a failure with its reason; and the residuals if
-//! they were requested.
+//! Answer to an evaluation: a cost, "above the cutoff", or a failure with its reason. Also contains the
+//! residuals if they were requested.
 
 use crate::values::encoding::numbers;
 use serde::{Deserialize, Serialize};

@@ -43,7 +43,7 @@ pub struct RunOptions<M = NelderMead> {
     /// Seed of the random numbers, for methods that draw random numbers. By default, a seed is drawn and
     /// reported.
     pub seed: Option<u64>,
-    /// Number of evaluations to remember, so that exact repeats cost nothing; default: the method's.
+    /// Number of evaluations to remember, so that exact repeats cost nothing; default: chosen by the method.
     pub cache: Option<usize>,
     /// Number of evaluations to keep in the trace; only the last ones are kept. Default all.
     pub trace_limit: Option<usize>,

@@ -54,7 +54,7 @@ pub enum EntryProblem {
     /// The name is used both for a file and for a folder.
     #[error("makes \"{0}\" both a file and a folder")]
     FileAndFolder(String),
-    /// The data overlap those of another entry.
+    /// The data overlap the data of another entry.
     #[error("shares bytes {start}..{end} of the archive with \"{other}\"")]
     Overlap {
         /// First shared byte.

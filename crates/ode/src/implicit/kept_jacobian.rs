@@ -46,11 +46,11 @@ pub(crate) struct KeptJacobian {
     jacobian: Jacobian,
     has_jacobian: bool,
     wants_jacobian: bool,
-    /// Steps since the Jacobian was evaluated; 0: at the current point.
+    /// Steps since the Jacobian was evaluated; 0 if it was evaluated at the current point.
     age: u32,
     /// True if the Jacobian is from before an event.
     is_before_event: bool,
-    /// Coefficient of the decomposed matrix; 0: none.
+    /// Coefficient of the decomposed matrix; 0 if there is none.
     coefficient: f64,
     decomposition_age: u32,
 }

@@ -21,7 +21,7 @@ pub(super) enum Form<'a> {
 pub struct Event<'a> {
     pub(super) function: Function<'a>,
     pub(super) direction: Direction,
-    /// Occurrence at which the run ends; 0: never.
+    /// Occurrence at which the run ends; 0 means never.
     pub(super) terminal: usize,
     /// Times and the preceding states.
     pub(super) occurrences: Vec<(f64, Vec<f64>)>,

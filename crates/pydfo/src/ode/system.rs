@@ -17,7 +17,7 @@ use std::sync::Arc;
 pub(crate) struct Event<'py> {
     pub(crate) function: Bound<'py, PyAny>,
     pub(crate) direction: Direction,
-    /// Occurrence at which the run ends; 0: never.
+    /// Occurrence at which the run ends; 0 means never.
     pub(crate) terminal: usize,
     pub(crate) times: Vec<f64>,
     /// States before the event, one occurrence after the other.

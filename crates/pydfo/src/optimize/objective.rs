@@ -18,7 +18,7 @@ pub(crate) struct PyObjective {
     tolerant: bool,
     /// True if the function receives the cutoff, and may return `Above`.
     takes_cutoff: bool,
-    /// Loss function of the residuals; `None`: the function returns a cost.
+    /// Loss function of the residuals; `None` if the function returns a cost.
     loss: Option<RobustLoss>,
     stop: Arc<EndRequest>,
     /// Exceptions and the points at which they were raised. The run ends with the exception of the first such

@@ -19,8 +19,8 @@ use ode::Stats;
 
 /// Last search of a fit, with its calibration, noise and tolerance.
 pub(crate) struct FinalSearch {
-    /// Calibration with the weights and the tolerance of the fit. `None` if both are those of the original
-    /// calibration.
+    /// Calibration with the weights and the tolerance of the fit. `None` if both are
+    /// unchanged.
     pub(crate) own: Option<Calibration>,
     pub(crate) searched: SearchResult,
     pub(crate) noise: Option<FitNoise>,

@@ -409,7 +409,7 @@ mod tests {
         for (got, expected) in variances(&layout).iter().zip([0.025, 0.025, 0.025, 0.025, 9.0, 9.0]) {
             assert!((got - expected).abs() < 1e-14);
         }
-        // The variance of one exact output among others is that of rounding.
+        // One exact output among others has the variance of rounding errors.
         layout.outputs[2].measured = vec![1e14; 2].into();
         let exact = variances(&layout);
         assert!((exact[0] - 0.025).abs() < 1e-14 && (exact[4] / 1e10 - 1.0).abs() < 1e-12, "{exact:?}");

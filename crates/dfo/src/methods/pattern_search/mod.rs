@@ -36,8 +36,8 @@
 //! varied alone (`shared/size_search.rs`).
 //!
 //! **Plan.** The path processes one point after the other. Ahead of need, the next points of the poll are
-//! evaluated, then the points of the next poll ([`Lookahead`]). **Cutoff**: the cost of the best point; none
-//! for discrete gradients.
+//! evaluated, then the points of the next poll ([`Lookahead`]). **Cutoff**: the cost of the best point.
+//! Discrete gradients have no cutoff.
 //!
 //! **Tests.** The x test measures the frame of a poll that failed. The f test measures the decrease over the
 //! last four frames.

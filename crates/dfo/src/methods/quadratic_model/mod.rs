@@ -2,7 +2,7 @@
 //! of BOBYQA (Powell, report DAMTP 2009/NA06) and COBYQA (Ragonneau, thesis, Hong Kong 2022).
 //!
 //! The first batch contains the 2n + 1 points of the first model. Of all quadratics through the points, the
-//! model is the one that changes least from the previous model (`model.rs`). Its minimum within a radius and
+//! model changes least from the previous model (`model.rs`). Its minimum within a radius and
 //! the bounds gives the next trial point (`subproblem.rs`). The radius follows the accuracy of the
 //! prediction. Nearby points stay in the model, up to 4n + 1 or the number of coefficients of a quadratic.
 //! With these points, fits need half of the evaluations that they need with 2n + 1 points. After that, a new

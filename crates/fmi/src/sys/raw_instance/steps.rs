@@ -1,4 +1,4 @@
-//! Communication steps: performing, querying while pending, and abandoning them; derivatives of inputs and
+//! Communication steps (performing, querying and abandoning them), and derivatives of inputs and
 //! outputs.
 
 use super::component::RawInstance;

@@ -97,10 +97,10 @@ impl Coefficients {
         }
     }
 
-    /// The slope of the corrector's polynomial agrees with the right-hand side at the last `q` points, that
-    /// of the predictor's at the `q` points before the end. Their difference, and the errors of both, are
-    /// multiples of the divided difference of the slopes over all these points (E. Hairer, S. P. Norsett, G.
-    /// Wanner, Solving Ordinary Differential Equations I, section III.5).
+    /// The slope of the corrector's polynomial agrees with the right-hand side at the last `q` points. The
+    /// slope of the predictor's polynomial agrees with it at the `q` points before the end. Their difference,
+    /// and the errors of both, are multiples of the divided difference of the slopes over all these points
+    /// (E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, section III.5).
     fn adams(q: usize, h: f64, past: &[f64; MAX_ORDER + 1]) -> Self {
         let mut xi = [1.0; MAX_ORDER + 2];
         for j in 2..=q + 1 {
@@ -133,7 +133,7 @@ impl Coefficients {
         let mut l = [0.0; MAX_ORDER + 1];
         (l[0], l[1]) = (1.0, 1.0);
         // The polynomial l(s) has the roots -1/xi_j of the past points, except one. This one is moved so that
-        // the leading coefficient is that of equal steps.
+        // the leading coefficient is the same as for equal steps.
         let (mut alpha, mut alpha_hat) = (-1.0, -1.0);
         let (mut xi, mut xi_fixed) = (1.0, 1.0);
         let mut sum = h;

@@ -28,7 +28,7 @@ impl Iterate {
 
 /// The equation of the corrector, `G(e) = 0`.
 pub(super) struct Corrector<'a> {
-    /// The decomposed matrix; `None`: the increment is the residual.
+    /// The decomposed matrix; `None` if the increment is the residual.
     pub(super) lu: Option<&'a Lu<f64>>,
     pub(super) left: &'a LeftSide,
     /// The prediction.

@@ -32,7 +32,7 @@ pub(super) struct LeftSide {
     /// `dF/dx'`.
     pub(super) slopes: Jacobian,
     pub(super) is_known: bool,
-    /// True if the residual is an affine function of the slopes; `None`: not known yet.
+    /// True if the residual is an affine function of the slopes; `None` if this is not known yet.
     pub(super) is_affine: Option<bool>,
     /// `is_split`: the algebraic part is valid for this run. `is_checked`: the index was found to be 0 or 1.
     pub(super) is_split: bool,

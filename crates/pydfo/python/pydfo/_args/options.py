@@ -98,7 +98,7 @@ def method_name(method: str) -> str:
 
 
 def seed(rng: int | np.random.Generator | None) -> int | None:
-    """Returns a seed from an integer, or drawn from a generator; None: the optimiser draws one."""
+    """Returns a seed from an integer or a generator; None if the optimiser draws one."""
     if rng is None:
         return None
     if isinstance(rng, np.random.Generator):

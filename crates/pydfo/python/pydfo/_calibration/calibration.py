@@ -277,7 +277,7 @@ class Calibration(Evaluation):
             If an option exists only for "nelder-mead", it selects that method. The fit records the reason in
             ``method_reason``.
         workers : int or concurrent.futures.Executor, optional
-            Number of simulations that may run at once; None and -1: all cores. Alternatively, an executor (of
+            Number of simulations that may run at once; None and -1 mean all cores. Alternatively, an executor (of
             `concurrent.futures`, Dask, MPI, joblib or Ray) that runs the simulations of the search point by point.
             Problem and model are sent to each of its processes once. Simulations before and after the search run in
             this process. The fit is bit-for-bit identical for any number of workers and any executor.
@@ -518,7 +518,7 @@ class Calibration(Evaluation):
         start : array_like or dict, optional
             As in `cost`.
         workers : int, optional
-            Number of simulations that may run at once; None: all cores.
+            Number of simulations that may run at once; None means all cores.
 
         Raises
         ------
@@ -558,7 +558,7 @@ class Calibration(Evaluation):
             Names of the free parameters. The other parameters are assumed known, so the standard errors are
             conditional.
         workers : int, optional
-            Number of simulations that may run at once; None: all cores. The result does not depend on it.
+            Number of simulations that may run at once; None means all cores. The result does not depend on it.
 
         Raises
         ------
@@ -601,7 +601,7 @@ class Calibration(Evaluation):
         method, x_tol, f_tol, max_evaluations, max_iterations, loss, f_scale, rng, options, noise : optional
             Settings of each fit, as in `fit`.
         workers : int, optional
-            Number of simulations that may run at once; None and -1: all cores. The fits run in parallel.
+            Number of simulations that may run at once; None and -1 mean all cores. The fits run in parallel.
         max_time : float, optional
             Limit on the wall-clock time of all fits together, in s.
 

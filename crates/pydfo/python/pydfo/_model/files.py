@@ -32,7 +32,7 @@ class OpenOptions:
 
 
 def size_limit(name: str, value: int | None) -> int | None:
-    """Returns a limit on a count; None: the default."""
+    """Returns a limit on a count; None means the default."""
     if value is None:
         return None
     if isinstance(value, bool) or not hasattr(value, "__index__"):

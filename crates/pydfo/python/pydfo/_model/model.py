@@ -33,8 +33,8 @@ _NOT_GIVEN: object = object()
 
 
 class Request(NamedTuple):
-    """The options of a simulation in the order in which the native code reads them; None: the default of the
-    model."""
+    """The options of a simulation in the order in which the native code reads them; None means the default of
+    the model."""
 
     start_time: float | None
     final_time: float | None

@@ -102,7 +102,7 @@ def fmin(
 ) -> OptimizeResult:
     """Minimise a function of several variables without derivatives.
 
-    The signature is that of the tool described in the paper. Additional arguments are keyword-only.
+    The signature is the same as in the tool described in the paper. Additional arguments are keyword-only.
 
     Parameters
     ----------
@@ -129,13 +129,13 @@ def fmin(
     f_tol : float
         Absolute tolerance of the f test: the difference between the worst and the best vertex.
     max_iters, max_fevals : int, optional
-        Exact limits on iterations and evaluations; None: no limit. The evaluations are those of a run with one worker
-        (``nfev``); calls ahead of need are counted in ``n_speculative``.
+        Exact limits on iterations and evaluations; default: no limit. They apply to ``nfev``, the
+        evaluations of a run with one worker. Calls ahead of need are counted in ``n_speculative``.
     disp : bool
         If True, print a line per iteration and how the run ended.
     nbr_cores : int, map-like or executor, optional
-        Number of simultaneous calls of `func`, each in a separate thread; -1: all cores; None: 1. A Python function
-        is called from several threads only on request. Only functions that release the interpreter lock, such as
+        Number of simultaneous calls of `func`, each in a separate thread; -1 means all cores, None means 1. A Python
+        function is called from several threads only on request. Only functions that release the interpreter lock, such as
         simulations, run faster in several threads. Alternatively, a ``concurrent.futures`` executor, which receives
         single points, or a function like the built-in ``map`` (``multiprocessing.Pool().map``), which receives whole
         batches. Both are called from the calling thread. With processes, as in the paper's tool, `func` must be

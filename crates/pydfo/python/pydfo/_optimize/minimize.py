@@ -89,7 +89,7 @@ def minimize(
     args : tuple
         Further arguments of `fun`.
     workers : int, map-like or executor
-        Number of simultaneous calls of `fun`, each in a separate thread; -1: all cores. Alternatively, a
+        Number of simultaneous calls of `fun`, each in a separate thread; -1 means all cores. Alternatively, a
         ``concurrent.futures`` executor (including those of Dask, MPI, joblib and Ray), which receives single points,
         or a function like the built-in ``map`` (``multiprocessing.Pool().map``), which receives whole batches. Both
         are called from the calling thread. With processes, `fun` must be picklable. A point lost by an executor,
@@ -142,7 +142,7 @@ def minimize(
 
         GA: ``population``, ``selection`` ("fitness", or the size of a tournament), ``crossover_rate``,
         ``mutation_rate``, ``elite``, ``gray``, ``resolution``, ``sampling``, ``include_start``, ``stall`` (number of
-        generations without gain that ends the run; None: never).
+        generations without gain that ends the run; None means never).
 
         Multistart: ``sample`` (points of a sample), ``sampling``, ``polish`` ("auto", "nelder-mead", "cma-es",
         "least-squares"), ``side_by_side`` (number of simultaneous local searches), ``max_starts``, ``exploration``

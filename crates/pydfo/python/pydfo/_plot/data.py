@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def recordings(calibration: _core.Calibration) -> Figure:
-    """Draws a column per experiment: measurements, then inputs; rows outside the windows are grey."""
+    """Draws a column per experiment, with measurements followed by inputs. Rows outside the windows are grey."""
     recorded = _core.recorded(calibration)
     names = calibration.experiments()
     n_rows = max(len(series) for _, series, _ in recorded)
