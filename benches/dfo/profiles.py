@@ -72,8 +72,8 @@ class Outcome:
         return np.array(units)
 
     def tables(self, half: str) -> str:
-        """Returns solved fractions and medians, of all problems and of the odd ones; by function if there is a
-        target."""
+        """Returns solved fractions and medians of all problems and of the odd ones. If there is a target, returns
+        them by function."""
         text = ""
         for odd in (False, True) if half == "all" else (False,):
             taus = self.taus or (0.0,)

@@ -377,9 +377,9 @@ impl Differences {
         Self { changes, steps, noise, bends: Vec::new(), roughness: None }
     }
 
-    /// Checks a sixteenth of the step over which the residuals bend most. With a smooth model, the residuals
-    /// change by a sixteenth there, up to a correspondingly small part of the bend. Switching times that jump
-    /// with the parameters cause the same relative bend over every step.
+    /// Repeats the step with the largest bend at a sixteenth of its length. For a smooth model, the relative
+    /// bend is then about a sixteenth as large. If switching times jump with the parameters, the relative
+    /// bend is the same over every step.
     fn roughness(
         &self,
         center: &Center<'_>,

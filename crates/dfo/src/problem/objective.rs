@@ -13,7 +13,7 @@ pub(crate) static NEVER: AtomicBool = AtomicBool::new(false);
 /// Signals that end a running evaluation. Only the owner of a flag sets and clears it.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CancelSignals<'a> {
-    /// Flag of the user.
+    /// Cancel flag set by the user.
     cancel: &'a AtomicBool,
     /// Flag of the run for one evaluation.
     over: &'a AtomicBool,

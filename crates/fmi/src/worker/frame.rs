@@ -146,7 +146,7 @@ impl Frame {
         let word =
             |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
         if word(0) != MAGIC || word(4) > 31 {
-            return Err(bad("not a message of a worker of this version".to_owned()));
+            return Err(bad("the message is not from a worker of this version".to_owned()));
         }
         let flag = |bit: u32| word(4) & bit != 0;
         let length = |part: usize| u64::from(word(16 + 8 * part)) | u64::from(word(20 + 8 * part)) << 32;

@@ -16,7 +16,7 @@ pub struct Load {
 pub(super) struct LoadId {
     pub(super) number: u64,
     pub(super) owner: u64,
-    /// True if one idle worker with this load is never ended for being idle.
+    /// True if one worker with this load is kept, however long it is idle.
     pub(super) is_kept: bool,
 }
 

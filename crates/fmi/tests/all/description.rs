@@ -615,7 +615,7 @@ proptest! {
         promises::hold_for_document(format!("<fmiModelDescription fmiVersion='2.0'>{text}").as_bytes());
     }
 
-    /// All indices in an accepted document are in range, whatever the changes.
+    /// For any changes of the document, all indices are in range if it is accepted.
     #[test]
     fn modified_documents_are_consistent_or_rejected(
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..8),

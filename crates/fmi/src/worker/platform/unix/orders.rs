@@ -24,8 +24,8 @@ pub(super) const TEMPORARY: &CStr = c"TMPDIR";
 pub(super) enum Order {
     /// Load the problem in the frame.
     Load = b'L',
-    /// Start a worker: its number and [`Start`](crate::worker::handshake::Start), with [`DESCRIPTORS`]. The
-    /// first messages of the worker follow on its socket, or an error.
+    /// Start a worker. The order contains its number, [`Start`](crate::worker::handshake::Start) and
+    /// [`DESCRIPTORS`]. The socket of the worker then carries its first messages or an error.
     Start = b'S',
     /// End a worker, by its number, and the processes that it has left behind. The answer is its exit status.
     End = b'E',
