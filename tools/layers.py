@@ -34,7 +34,7 @@ LAYERS = {
         error
         problem
         method_interface
-        evaluation methods
+        evaluation methods sampler
         run
     """,
     "fmi": """

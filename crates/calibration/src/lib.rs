@@ -16,7 +16,7 @@
 //! - `check`: mistakes in a setup;
 //! - `uncertainty`: covariance, residual tests, active bounds, the preflight before a fit;
 //! - `fit`: one stage, several stages;
-//! - `intervals`: profiles, bands;
+//! - `intervals`: profiles, bands, samples of the posterior distribution;
 //! - `validation`: validation on held-out data, cross-validation;
 //! - `report`: pages and figures;
 //! - `export`: files, tables, other programs;
@@ -72,6 +72,7 @@ pub use fit::schema::{fit_schema, stages_schema};
 pub use fit::several_stages::{Stage, StageRecord};
 pub use fmi;
 pub use intervals::bands::{BandOptions, PredictionBand};
+pub use intervals::posterior::{Posterior, PosteriorOptions, PosteriorParameter, WalkerStart};
 pub use intervals::profile::{ParameterProfile, Profile, ProfileEnd, ProfileOptions, ProfilePoint};
 #[cfg(feature = "report")]
 pub use live_page::LivePage;

@@ -23,6 +23,8 @@
 //! | `pattern-search` | costs with kinks and jumps; few parameters, with or without bounds | [`PatternSearch`] |
 //! | `ga` (`genetic`) | integer and categorical parameters combined with continuous ones, in a box | [`Genetic`] |
 //!
+//! [`EnsembleSampler`] samples a probability density.
+//!
 //! [`AnyMethod`] selects a method by name. [`Optimizer`] (ask/tell) leaves the evaluations to the caller.
 //! [`minimize_by`] sends them to your own [`Evaluator`], for example a cluster.
 //!
@@ -57,6 +59,7 @@ mod methods;
 mod outcome;
 mod problem;
 mod run;
+mod sampler;
 mod values;
 
 pub use base::RunContext;
@@ -67,6 +70,7 @@ pub use method_interface::interface::{
     ProblemClass, Roughness, Setup, Simplex, SimplexView, Status,
 };
 pub use method_interface::linear_model::{Covariance, LinearModel};
+pub use method_interface::rng::draw_seed;
 pub use method_interface::sampling::Sampling;
 pub use method_interface::tolerances::{Limits, TestedSet, ToleranceTests, Tolerances};
 pub use methods::{
@@ -95,6 +99,7 @@ pub use run::options::{KnownPoint, RunOptions};
 pub use run::progress::Progress;
 pub use run::report::{Report, Resumed};
 pub use run::requested::RequestedRun;
+pub use sampler::{EnsembleSampler, autocorrelation_time, split_r_hat, standard_normals, uniforms};
 pub use values::choices::{BoundsHandling, ParameterKind, Search, StopRule, ToleranceMeasure, Transform};
 pub use values::fields::{field_names, read_known, read_part, read_record};
 pub use values::record::{Record, RecordError, Value};

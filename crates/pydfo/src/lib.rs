@@ -34,6 +34,8 @@ mod core_module {
     #[pymodule_export]
     use super::calibration::live_page::PyLivePage;
     #[pymodule_export]
+    use super::calibration::posterior::sample;
+    #[pymodule_export]
     use super::calibration::profile::profile;
     #[pymodule_export]
     use super::calibration::recordings::{recorded, recorded_inputs};

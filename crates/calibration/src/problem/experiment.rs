@@ -91,6 +91,11 @@ impl Weight {
             Self::Column(_) | Self::Rows(_) => true,
         }
     }
+
+    /// True if the weight only divides by the scale of the measurements.
+    pub(crate) fn is_scale(&self) -> bool {
+        matches!(self, Self::Inverse(_))
+    }
 }
 
 /// Scale of the measurements of an output.

@@ -15,6 +15,7 @@ mod noise;
 mod objective;
 mod parameters;
 mod phases;
+mod posterior;
 mod prediction;
 mod problem;
 mod profile;

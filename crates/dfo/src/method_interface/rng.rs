@@ -32,7 +32,7 @@ pub(crate) struct Stream {
 }
 
 /// Draws a seed for a run without a given seed. It differs from run to run and is reported.
-pub(crate) fn draw_seed() -> u64 {
+pub fn draw_seed() -> u64 {
     // The keys of the standard library's hasher come from the system's random numbers. 53 bits survive every
     // number format.
     RandomState::new().build_hasher().finish() >> 11

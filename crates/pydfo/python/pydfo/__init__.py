@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ._calibration.export import load_fit
     from ._calibration.fit import ChosenTolerance, Fit, FitNoise, OutputFit
     from ._calibration.parameter import LogNormal, Normal, Parameter
+    from ._calibration.posterior import Posterior
     from ._calibration.profile import Profile
     from ._calibration.settings import Limits, Process, Simulation
     from ._calibration.stages import Stage
@@ -74,6 +75,7 @@ _HOMES = {
     "_model.model": "FMUModel load_fmu",
     "_optimize.optimizer": "Above Asked Optimizer",
     "_calibration.parameter": "LogNormal Normal Parameter",
+    "_calibration.posterior": "Posterior",
     "_calibration.profile": "Profile",
     "_optimize.progress": "Progress",
     "_optimize.result": "BarrierStage LeastSquaresResult OptimizeResult Trace",
@@ -124,6 +126,7 @@ __all__ = [
     "Preflight",
     "PredictionBand",
     "Process",
+    "Posterior",
     "Profile",
     "Progress",
     "PydfoError",

@@ -65,6 +65,7 @@ __all__ = [
     "cross_validate",
     "prediction_bands",
     "profile",
+    "sample",
     "validate",
     "Uncertainty",
 ]
@@ -234,6 +235,15 @@ def profile(
     extent: tuple[float, bool, int | None],
     workers: int | None,
     checkpoint: str | None,
+) -> dict[str, Any]: ...
+def sample(
+    fit: Fit,
+    extent: tuple[int, int | None, int | None],
+    is_from_box: bool,
+    seed: int | None,
+    workers: int | None,
+    checkpoint: str | None,
+    observer: Callable[[int], None] | None,
 ) -> dict[str, Any]: ...
 def validate(
     fit: Fit, windows: list[tuple[float, float]], experiments: list[Experiment] | None

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from ._args.text import line
 
 if TYPE_CHECKING:
+    from ._calibration.posterior import Posterior
     from ._calibration.profile import Profile
     from ._optimize.result import OptimizeResult, Trace
     from .ode import OdeResult
@@ -140,9 +141,9 @@ class Interrupted(KeyboardInterrupt):
 
     Attributes
     ----------
-    result : OptimizeResult, OdeResult, Profile or None
+    result : OptimizeResult, OdeResult, Profile, Posterior or None
         Result up to the interrupt: a `Fit` for a fit, an `OdeResult` for `pydfo.ode.solve`, a `Profile` for
-        `Fit.profile`. None if no point had a finite cost yet.
+        `Fit.profile`, a `Posterior` for `Fit.sample`. None if no point had a finite cost yet.
     """
 
-    result: OptimizeResult | OdeResult | Profile | None = None
+    result: OptimizeResult | OdeResult | Profile | Posterior | None = None

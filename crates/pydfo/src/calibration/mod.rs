@@ -7,6 +7,7 @@ pub(crate) mod data_files;
 pub(crate) mod experiment;
 pub(crate) mod fit;
 pub(crate) mod live_page;
+pub(crate) mod posterior;
 pub(crate) mod profile;
 pub(crate) mod recordings;
 pub(crate) mod saved_fit;

@@ -17,11 +17,13 @@ from .._args.keywords import also_called, explained
 from .._model.trajectory import SimulationStats
 from .._optimize.result import OptimizeResult
 from . import export as _export
+from . import posterior as _posterior
 from . import profile as _profile
 from . import validation as _validation
 from .check import Finding
 from .experiment import Experiment
 from .export import PathLike
+from .posterior import Posterior
 from .profile import Profile
 from .stages import Windows
 from .uncertainty import Preflight, Uncertainty
@@ -433,6 +435,68 @@ class Fit(OptimizeResult):
             The file cannot be read or written.
         """
         return _profile.of_fit(self, parameters, level, corrected, max_points, workers, checkpoint)
+
+    def sample(
+        self,
+        steps: SupportsFloat = 1000,
+        *,
+        warmup: SupportsFloat | None = None,
+        walkers: SupportsFloat | None = None,
+        start: str = "fit",
+        rng: int | np.random.Generator | None = None,
+        workers: SupportsIndex | None = None,
+        checkpoint: PathLike | None = None,
+        disp: bool | None = None,
+    ) -> Posterior:
+        """Samples the posterior distribution of the parameters with an ensemble of walkers.
+
+        The density is the product of the likelihood and the priors, within the bounds. The prior of a parameter
+        without one is uniform in the parameter or, with ``scale="log"``, in its logarithm. The noise is normal and
+        independent. If weights state the noise (1/sigma), the likelihood is ``exp(-cost / 2)``. Otherwise the
+        standard deviation of each output is unknown and is integrated out with the prior 1/sigma (Gelman et al.,
+        Bayesian Data Analysis, third edition, 2013, section 3.2).
+
+        In each step, each walker moves by a multiple of the difference of two other walkers (ter Braak, Statistics and
+        Computing 16, 2006), with one simulation of all experiments. Half of the walkers are simulated in parallel.
+        Fixed, integer and categorical parameters keep the values of the fit.
+
+        Parameters
+        ----------
+        steps : int
+            Number of steps, including the warm-up.
+        warmup : int, optional
+            Number of first steps that are not a part of the sample; default: a quarter of the steps.
+        walkers : int, optional
+            Number of walkers; default: the larger of 16 and four per parameter.
+        start : {"fit", "box"}
+            Initial distribution of the walkers: the normal distribution of the fit, or the box of the bounds. Use
+            "box" if there may be several modes.
+        rng : int or numpy.random.Generator, optional
+            Seed of the random numbers, or a generator from which to draw the seed; None draws one.
+        workers : int, optional
+            Number of parallel simulations; default: all cores. The result does not depend on it.
+        checkpoint : path, optional
+            File that stores the chain. If it exists, the sample continues from it. A larger number of steps extends
+            it.
+        disp : bool, optional
+            Whether a terminal or notebook shows the number of completed steps; default: after two seconds.
+
+        Returns
+        -------
+        Posterior
+            ``chain``, ``mean``, ``sd``, ``intervals()``; has ``print`` and ``plot``.
+
+        Raises
+        ------
+        Interrupted
+            Ctrl-C was pressed; ``result`` contains the steps so far.
+        ValueError
+            The fit minimised a robust loss, or a cost that is neither a sum of squares nor the likelihood. Also if
+            there are too few walkers or steps, or if the file belongs to another problem.
+        OSError
+            The file cannot be read or written.
+        """
+        return _posterior.of_fit(self, steps, warmup, walkers, start, rng, workers, checkpoint, disp)
 
     def residuals(self) -> FloatArray:
         """Returns the residuals at the fitted values: simulated minus measured, times the weight of the calibration.

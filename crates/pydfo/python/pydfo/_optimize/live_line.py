@@ -156,3 +156,26 @@ class LiveLine:
                 self._display.close()
             except (OSError, ValueError):
                 pass
+
+
+class StepLine:
+    """Shows the number of completed steps of a long computation, after a delay in s."""
+
+    def __init__(self, label: str, n_steps: int, delay: float) -> None:
+        self._label, self._n_steps = label, n_steps
+        self._display: _Plain | _Rich | None = None
+        self._next = time.monotonic() + delay
+
+    def __call__(self, step: int) -> None:
+        now = time.monotonic()
+        if now < self._next:
+            return
+        self._next = now + INTERVAL
+        if self._display is None:
+            self._display = _display()
+        self._display.show(f"{self._label} {step} of {self._n_steps}")
+
+    def close(self) -> None:
+        """Removes the line."""
+        if self._display is not None:
+            self._display.close()

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from .fit import fit
+from .posterior import corner
 from .profile import profiles
 from .search import convergence, waterfall
 from .simplex import SimplexWalk
 from .style import pyplot
 from .uncertainty import correlation, sensitivity
 
-__all__ = ["SimplexWalk", "convergence", "correlation", "fit", "profiles", "pyplot", "sensitivity", "waterfall"]
+__all__ = ["SimplexWalk", "convergence", "corner", "correlation", "fit", "profiles", "pyplot", "sensitivity", "waterfall"]
