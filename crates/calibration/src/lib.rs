@@ -85,7 +85,6 @@ pub use problem::experiment::{Experiment, InitialState, OutputScale, Weight};
 pub use problem::experiment_record::ExperimentRecord;
 pub use problem::objective::{Compared, CostKind, CustomCost, CustomFailure, NamedCost};
 pub use problem::parameter::{Parameter, Scale, Target, Tie};
-pub use problem::parameter_record::ParameterRecord;
 pub use problem::prior::Prior;
 pub use problem::residual_layout::{OutputResiduals, PriorResidual, ResidualLayout};
 pub use problem::settings::SimulationSettings;

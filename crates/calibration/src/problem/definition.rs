@@ -139,7 +139,7 @@ impl Problem {
     }
 
     /// Returns the index of the parameter that this one is tied to.
-    pub(crate) fn tied_to(&self, parameter: &Parameter, tie: &Tie) -> Result<usize, CalibrationError> {
+    pub(crate) fn tied_to(&self, parameter: &Parameter, tie: Tie<'_>) -> Result<usize, CalibrationError> {
         let bad =
             |message: String| Err(CalibrationError::Parameter { name: parameter.name().to_owned(), message });
         let Tie { to, .. } = tie;
@@ -217,7 +217,7 @@ impl Problem {
 fn check_units_of_tie(
     parameter: &Parameter,
     other: &Parameter,
-    tie: &Tie,
+    tie: Tie<'_>,
     description: &ModelDescription,
 ) -> Result<(), CalibrationError> {
     let (Some(own), Some(of_other)) = (parameter.unit(description), other.unit(description)) else {

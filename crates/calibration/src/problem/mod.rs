@@ -11,7 +11,6 @@ pub(crate) mod input;
 pub(crate) mod measurements;
 pub(crate) mod objective;
 pub(crate) mod parameter;
-pub(crate) mod parameter_record;
 pub(crate) mod prior;
 pub(crate) mod residual_layout;
 pub(crate) mod resolution;

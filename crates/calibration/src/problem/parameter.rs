@@ -1,36 +1,36 @@
-//! Parameters of a fit: a value with a start, bounds and scale, and its target in the model.
+//! Parameters of a fit: a value with a start, bounds and scale, and its target in the model. Python, files
+//! and the command line describe parameters by the fields of one serde type.
 
 use crate::error::CalibrationError;
 use crate::problem::prior::Prior;
 use base::Number;
-use dfo::ParameterKind;
 pub use dfo::Transform as Scale;
+use dfo::{ParameterKind, Record, Value, read_record};
 use fmi::ModelDescription;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer, ser};
 
 /// Target of a parameter.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Target {
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Target<'a> {
     /// Variables of the model, all set to the same value. They are parameters, or variables with a start
     /// value. States are referred to by their names.
-    Variables(Vec<String>),
+    Variables(&'a [String]),
     /// Delay of a compared output or of an input, in s: `y(t - delay)`.
-    Delay(String),
+    Delay(&'a str),
     /// Offset that is added to a compared output or to an input.
-    Offset(String),
+    Offset(&'a str),
 }
 
 /// Dependence of a parameter on another one: `factor * value + offset`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Tie {
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tie<'a> {
     /// Name of the parameter that this one follows.
-    pub to: String,
+    pub to: &'a str,
     /// Factor of the value of the other parameter.
     pub factor: f64,
     /// Offset, in the unit of the tied parameter.
     pub offset: f64,
     /// True if the factor has a unit, so that the units of the two parameters may differ.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub across_units: bool,
 }
 
@@ -47,43 +47,145 @@ pub struct Tie {
 /// assert_eq!((outlet.name(), delay.name(), other.is_tied()), ("outlet", "tau", true));
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[cfg_attr(feature = "schema", schemars(description = "A parameter to be fitted."))]
+#[serde(default, deny_unknown_fields)]
 pub struct Parameter {
+    /// Name. It is also the variable of the model to set, unless `variables`, `delay_of` or `offset_of` is
+    /// given.
     name: String,
-    target: Target,
-    start: f64,
-    lower: f64,
-    upper: f64,
+    /// Start value of the search.
+    #[serde(serialize_with = "finite")]
+    start: Option<f64>,
+    /// Lower bound; default: none.
+    #[serde(serialize_with = "finite")]
+    lower: Option<f64>,
+    /// Upper bound; default: none.
+    #[serde(serialize_with = "finite")]
+    upper: Option<f64>,
+    /// Scale of the search.
     scale: Scale,
+    /// A typical size.
+    #[serde(serialize_with = "finite")]
     nominal: Option<f64>,
+    /// Kind of values.
     kind: ParameterKind,
+    /// Fixes the parameter at its start value.
     fixed: bool,
+    /// Uses a separate value in each experiment.
     local: bool,
+    /// Variables of the model to set.
+    variables: Option<Vec<String>>,
+    /// The output or input that the parameter delays, in s.
+    delay_of: Option<String>,
+    /// The output or input that the parameter is added to.
+    offset_of: Option<String>,
+    /// The parameter to follow: the value is factor * value + offset.
+    tied_to: Option<String>,
+    /// Factor of the followed parameter.
+    factor: f64,
+    /// Offset from the followed parameter.
+    offset: f64,
+    /// True if the factor has a unit.
+    across_units: bool,
+    /// Unit of the values, if it differs from the unit of the variable.
     unit: Option<String>,
+    /// Name in reports and figures.
     display_name: Option<String>,
+    /// Knowledge of the parameter before the fit.
     prior: Option<Prior>,
-    tie: Option<Tie>,
 }
 
-impl Parameter {
-    /// Creates a parameter named as in the model, without bounds, on a linear scale.
-    pub fn new(name: impl Into<String>, start: f64) -> Self {
-        let name = name.into();
+/// Serialises a number. JSON has neither NaN nor infinities, and `null` means that no number is given.
+fn finite<S: Serializer>(number: &Option<f64>, serializer: S) -> Result<S::Ok, S::Error> {
+    match number {
+        Some(number) if !number.is_finite() => {
+            Err(ser::Error::custom(format!("{} is not a finite number", Number(*number))))
+        }
+        number => number.serialize(serializer),
+    }
+}
+
+impl Default for Parameter {
+    /// Returns a parameter without a name and a start value, which every use requires.
+    fn default() -> Self {
         Self {
-            target: Target::Variables(vec![name.clone()]),
-            name,
-            start,
-            lower: f64::NEG_INFINITY,
-            upper: f64::INFINITY,
+            name: String::new(),
+            start: None,
+            lower: None,
+            upper: None,
             scale: Scale::Linear,
             nominal: None,
             kind: ParameterKind::Continuous,
             fixed: false,
             local: false,
+            variables: None,
+            delay_of: None,
+            offset_of: None,
+            tied_to: None,
+            factor: 1.0,
+            offset: 0.0,
+            across_units: false,
             unit: None,
             display_name: None,
             prior: None,
-            tie: None,
         }
+    }
+}
+
+impl Parameter {
+    /// Creates a parameter named as in the model, without bounds, on a linear scale.
+    pub fn new(name: impl Into<String>, start: f64) -> Self {
+        Self { name: name.into(), start: Some(start), ..Self::default() }
+    }
+
+    /// Creates the parameter of a record with the fields of this type. At most one of `variables`, `delay_of`
+    /// and `offset_of` can be given. A tied parameter has `tied_to` with `factor`, `offset` and
+    /// `across_units` instead of a start.
+    ///
+    /// # Errors
+    /// Returns an error if a field has an invalid value, and the errors of [`check`](Self::check).
+    pub fn from_record(record: &Record) -> Result<Self, CalibrationError> {
+        let bad = |message: String| {
+            let name = record.get("name").and_then(|name| name.read("name").ok()).unwrap_or_default();
+            Err(CalibrationError::Parameter { name, message })
+        };
+        match record.get("delay_of") {
+            None | Some(Value::Nothing | Value::Text(_)) => {}
+            Some(Value::List(_)) => {
+                return bad(
+                    "delay_of names one output or input. For a common delay of several, tie the parameters of the others with \
+                     tied_to; write known delays in delays of the recording"
+                        .to_owned(),
+                );
+            }
+            Some(other) => {
+                return bad(format!("delay_of must be the name of an output or input, not {other}"));
+            }
+        }
+        let parameter = read_record::<Self>(record, "field of a parameter")?.normalised();
+        parameter.check()?;
+        Ok(parameter)
+    }
+
+    /// Returns the record of the parameter, with all fields.
+    ///
+    /// # Errors
+    /// Returns an error if a number is not finite.
+    pub fn record(&self) -> Result<Record, CalibrationError> {
+        match Value::of(self)? {
+            Value::Record(record) => Ok(record),
+            _ => Ok(Record::new()),
+        }
+    }
+
+    /// Returns the parameter in the form in which equal parameters have equal fields.
+    fn normalised(mut self) -> Self {
+        self.lower = self.lower.filter(|lower| *lower != f64::NEG_INFINITY);
+        self.upper = self.upper.filter(|upper| *upper != f64::INFINITY);
+        self.variables = self.variables.filter(|variables| *variables != [self.name.as_str()]);
+        self.display_name = self.display_name.filter(|shown| *shown != self.name);
+        self
     }
 
     /// Creates a parameter whose value is `factor * p + offset`, where p is the value of the parameter `to`.
@@ -91,26 +193,23 @@ impl Parameter {
     /// the results list its value. If `to` is [local](Self::local), the tied parameter follows its value in
     /// each experiment. Bounds, scale, prior and the other settings are taken from `to`.
     pub fn tied(name: impl Into<String>, to: impl Into<String>, factor: f64, offset: f64) -> Self {
-        let tie = Tie { to: to.into(), factor, offset, across_units: false };
-        Self { tie: Some(tie), ..Self::new(name, 0.0) }
+        Self { name: name.into(), tied_to: Some(to.into()), factor, offset, ..Self::default() }
     }
 
     /// Declares that the factor of a [tied](Self::tied) parameter has a unit. Without it, both parameters
     /// must be quantities of the same kind. If the factor is also 1, they must have the same unit.
     #[must_use]
     pub fn across_units(mut self, across_units: bool) -> Self {
-        if let Some(tie) = &mut self.tie {
-            tie.across_units = across_units;
-        }
+        self.across_units = across_units;
         self
     }
 
     /// Sets the variables of the model that the parameter sets, all to the same value. The name of the
     /// parameter can then be chosen freely.
     #[must_use]
-    pub fn variables<N: Into<String>>(mut self, names: impl IntoIterator<Item = N>) -> Self {
-        self.target = Target::Variables(names.into_iter().map(Into::into).collect());
-        self
+    pub fn variables<N: Into<String>>(self, names: impl IntoIterator<Item = N>) -> Self {
+        let variables = Some(names.into_iter().map(Into::into).collect());
+        Self { variables, delay_of: None, offset_of: None, ..self }.normalised()
     }
 
     /// Makes the parameter the delay tau in s of a compared output or of an input. An output `y(t - tau)` is
@@ -118,17 +217,15 @@ impl Parameter {
     /// chosen freely. Before the start, an output has its value at the start, and an input has the value of
     /// its first row. The lower bound must be finite. Negative values delay the recording instead.
     #[must_use]
-    pub fn delay_of(mut self, variable: impl Into<String>) -> Self {
-        self.target = Target::Delay(variable.into());
-        self
+    pub fn delay_of(self, variable: impl Into<String>) -> Self {
+        Self { variables: None, delay_of: Some(variable.into()), offset_of: None, ..self }
     }
 
     /// Adds the parameter to a compared output or to an input. The name of the parameter can then be chosen
     /// freely.
     #[must_use]
-    pub fn offset_of(mut self, variable: impl Into<String>) -> Self {
-        self.target = Target::Offset(variable.into());
-        self
+    pub fn offset_of(self, variable: impl Into<String>) -> Self {
+        Self { variables: None, delay_of: None, offset_of: Some(variable.into()), ..self }
     }
 
     /// Sets the unit of its values, bounds and results, if it differs from the unit of the variable. Values
@@ -143,7 +240,7 @@ impl Parameter {
     #[must_use]
     pub fn display_name(mut self, name: impl Into<String>) -> Self {
         self.display_name = Some(name.into());
-        self
+        self.normalised()
     }
 
     /// Sets the prior: the knowledge of the parameter before the fit.
@@ -156,8 +253,8 @@ impl Parameter {
     /// Sets the smallest and the largest value; infinite bounds leave a side open.
     #[must_use]
     pub fn bounds(mut self, lower: f64, upper: f64) -> Self {
-        (self.lower, self.upper) = (lower, upper);
-        self
+        (self.lower, self.upper) = (Some(lower), Some(upper));
+        self.normalised()
     }
 
     /// Sets the scale of the optimiser. Use [`Scale::Log`] for positive parameters known only to an order of
@@ -205,20 +302,33 @@ impl Parameter {
     pub(crate) fn in_experiment(&self, experiment: &str, start: Option<f64>) -> Self {
         let name = format!("{}[{experiment}]", self.name);
         let display_name = self.display_name.as_ref().map(|shown| format!("{shown} [{experiment}]"));
-        let start = start.unwrap_or(self.start);
-        Self { name, display_name, start, local: false, ..self.clone() }
+        let variables = match self.target() {
+            Target::Variables(variables) => Some(variables.to_vec()),
+            Target::Delay(_) | Target::Offset(_) => None,
+        };
+        Self { name, display_name, variables, start: start.or(self.start), local: false, ..self.clone() }
     }
 
     /// Returns the part that costs depend on, without the settings of the search and the display.
     pub(crate) fn without_search(&self) -> Self {
-        let Self { name, target, unit, prior, tie, .. } = self.clone();
-        Self { target, unit, prior, tie, ..Self::new(name, 0.0) }
+        Self {
+            start: None,
+            lower: None,
+            upper: None,
+            scale: Scale::Linear,
+            nominal: None,
+            kind: ParameterKind::Continuous,
+            fixed: false,
+            local: false,
+            display_name: None,
+            ..self.clone()
+        }
     }
 
     /// Returns the parameter with a state of the model as its name and target.
     pub(crate) fn for_state(&self, state: &str) -> Self {
-        let target = Target::Variables(vec![state.to_owned()]);
-        Self { name: state.to_owned(), target, ..self.clone() }
+        let name = state.to_owned();
+        Self { name, variables: None, delay_of: None, offset_of: None, ..self.clone() }
     }
 
     /// Returns the name. For the value of a local parameter in an experiment, the name of the experiment
@@ -228,13 +338,18 @@ impl Parameter {
     }
 
     /// Returns the target of the parameter.
-    pub fn target(&self) -> &Target {
-        &self.target
+    pub fn target(&self) -> Target<'_> {
+        match (&self.variables, &self.delay_of, &self.offset_of) {
+            (Some(variables), ..) => Target::Variables(variables),
+            (None, Some(variable), _) => Target::Delay(variable),
+            (None, None, Some(variable)) => Target::Offset(variable),
+            (None, None, None) => Target::Variables(std::slice::from_ref(&self.name)),
+        }
     }
 
     /// Returns the variables of the model that the parameter sets; empty for a delay and an offset.
     pub fn variable_names(&self) -> &[String] {
-        match &self.target {
+        match self.target() {
             Target::Variables(names) => names,
             Target::Delay(_) | Target::Offset(_) => &[],
         }
@@ -243,7 +358,7 @@ impl Parameter {
     /// Returns the variable that defines the unit and nominal value: the first variable that the parameter
     /// sets, or the one that it offsets. Returns `None` for a delay, which is in s.
     pub fn variable(&self) -> Option<&str> {
-        match &self.target {
+        match self.target() {
             Target::Variables(names) => names.first().map(String::as_str),
             Target::Offset(variable) => Some(variable),
             Target::Delay(_) => None,
@@ -281,13 +396,14 @@ impl Parameter {
     }
 
     /// Returns the tie to another parameter, if there is one.
-    pub fn tie(&self) -> Option<&Tie> {
-        self.tie.as_ref()
+    pub fn tie(&self) -> Option<Tie<'_>> {
+        let Self { factor, offset, across_units, .. } = *self;
+        self.tied_to.as_deref().map(|to| Tie { to, factor, offset, across_units })
     }
 
     /// True if the parameter is tied to another one. It is then not an entry of the vectors of values.
     pub fn is_tied(&self) -> bool {
-        self.tie.is_some()
+        self.tied_to.is_some()
     }
 
     /// True if the parameter has a separate value in each experiment.
@@ -295,24 +411,24 @@ impl Parameter {
         self.local
     }
 
-    /// Returns the start value of the fit.
+    /// Returns the start value of the fit; 0 for a tied parameter.
     pub fn start(&self) -> f64 {
-        self.start
+        self.start.unwrap_or(0.0)
     }
 
     /// Returns the smallest value; the start value for a fixed parameter.
     pub fn lower(&self) -> f64 {
-        if self.fixed { self.start } else { self.lower }
+        if self.fixed { self.start() } else { self.given_bounds().0 }
     }
 
     /// Returns the largest value; the start value for a fixed parameter.
     pub fn upper(&self) -> f64 {
-        if self.fixed { self.start } else { self.upper }
+        if self.fixed { self.start() } else { self.given_bounds().1 }
     }
 
     /// Returns the smallest and the largest value as given, even for a fixed parameter.
     pub fn given_bounds(&self) -> (f64, f64) {
-        (self.lower, self.upper)
+        (self.lower.unwrap_or(f64::NEG_INFINITY), self.upper.unwrap_or(f64::INFINITY))
     }
 
     /// Returns the scale of the optimiser.
@@ -340,20 +456,35 @@ impl Parameter {
     /// # Errors
     /// Returns an error that names the parameter and the inconsistent numbers.
     pub fn check(&self) -> Result<(), CalibrationError> {
-        let Self { name, start, lower, upper, .. } = self;
+        let name = &self.name;
         let bad = |message: String| Err(CalibrationError::Parameter { name: name.clone(), message });
-        let [first, low, high] = [*start, *lower, *upper].map(Number);
         if name.is_empty() {
             return bad("a parameter needs a name".to_owned());
         }
-        if matches!(&self.target, Target::Variables(names) if names.is_empty()) {
+        if self.variables.as_ref().is_some_and(Vec::is_empty) {
             return bad(
                 "variables is empty. Specify the variables that it sets, or omit variables".to_owned()
             );
         }
-        if let Some(tie) = &self.tie {
+        let n_targets = [self.variables.is_some(), self.delay_of.is_some(), self.offset_of.is_some()];
+        if n_targets.into_iter().filter(|is_given| *is_given).count() > 1 {
+            return bad("variables, delay_of and offset_of exclude each other. Specify at most one of them"
+                .to_owned());
+        }
+        if let Some(tie) = self.tie() {
             return self.check_tie(tie);
         }
+        if (self.factor, self.offset, self.across_units) != (1.0, 0.0, false) {
+            return bad(
+                "factor, offset and across_units require tied_to. Specify the parameter to which it is tied"
+                    .to_owned(),
+            );
+        }
+        let Some(start) = self.start else {
+            return bad("start is missing. Specify a start value".to_owned());
+        };
+        let (lower, upper) = self.given_bounds();
+        let [first, low, high] = [start, lower, upper].map(Number);
         if !start.is_finite() {
             return bad(format!("start {first} is not finite"));
         }
@@ -363,7 +494,7 @@ impl Parameter {
         if lower > upper {
             return bad(format!("lower bound {low} is above upper bound {high}"));
         }
-        if !self.fixed && !(*lower..=*upper).contains(start) {
+        if !self.fixed && !(lower..=upper).contains(&start) {
             return bad(format!("start {first} is outside of the bounds {low} and {high}"));
         }
         if self.kind != ParameterKind::Continuous && !self.fixed {
@@ -375,8 +506,7 @@ impl Parameter {
                 return bad(format!("is {}, so start {first} must be an integer", self.kind));
             }
         }
-        if self.scale == Scale::Log && !self.fixed && (*start <= 0.0 || (lower.is_finite() && *lower <= 0.0))
-        {
+        if self.scale == Scale::Log && !self.fixed && (start <= 0.0 || (lower.is_finite() && lower <= 0.0)) {
             return bad(format!(
                 "a log scale requires values above 0, but the start is {first} and the lower bound {low}"
             ));
@@ -393,7 +523,7 @@ impl Parameter {
             Prior::Normal { mean, .. } => ("mean", mean),
             Prior::LogNormal { median, .. } => ("median", median),
         });
-        if let Some((what, value)) = likeliest.filter(|(_, value)| !(*lower..=*upper).contains(value))
+        if let Some((what, value)) = likeliest.filter(|(_, value)| !(lower..=upper).contains(value))
             && !self.fixed
         {
             let value = Number(value);
@@ -404,13 +534,13 @@ impl Parameter {
         if matches!(self.prior, Some(Prior::LogNormal { .. }))
             && !self.fixed
             && self.scale != Scale::Log
-            && *lower <= 0.0
+            && lower <= 0.0
         {
             return bad(format!(
                 "its log-normal prior requires values above 0, but its lower bound is {low}. Set a lower bound above 0, or scale = log"
             ));
         }
-        if matches!(self.target, Target::Delay(_)) && !self.lower().is_finite() {
+        if matches!(self.target(), Target::Delay(_)) && !self.lower().is_finite() {
             return bad(format!(
                 "a delay requires a finite lower bound, not {low}. Set lower = 0, for example"
             ));
@@ -418,22 +548,20 @@ impl Parameter {
         Ok(())
     }
 
-    fn check_tie(&self, Tie { to, factor, offset, across_units }: &Tie) -> Result<(), CalibrationError> {
-        let Self { name, target, unit, display_name, .. } = self;
+    fn check_tie(&self, Tie { to, factor, offset, .. }: Tie<'_>) -> Result<(), CalibrationError> {
+        let name = &self.name;
         let bad = |message: String| Err(CalibrationError::Parameter { name: name.clone(), message });
-        if !factor.is_finite() || *factor == 0.0 || !offset.is_finite() {
-            let [factor, offset] = [*factor, *offset].map(Number);
+        if self.start.is_some() {
+            return bad("it is tied to another parameter, which determines the start. Omit start".to_owned());
+        }
+        if !factor.is_finite() || factor == 0.0 || !offset.is_finite() {
+            let [factor, offset] = [factor, offset].map(Number);
             return bad(format!(
                 "it is tied to '{to}' with factor {factor} and offset {offset}. Both must be finite, and the factor must not be 0"
             ));
         }
-        // The other parameter determines all other fields.
-        let bare = Self {
-            target: target.clone(),
-            unit: unit.clone(),
-            display_name: display_name.clone(),
-            ..Self::tied(name, to, *factor, *offset).across_units(*across_units)
-        };
+        // The other parameter determines the settings of the search and the prior.
+        let bare = Self { display_name: self.display_name.clone(), prior: None, ..self.without_search() };
         if *self != bare {
             return bad(format!(
                 "it is tied to '{to}', which determines start, bounds, scale, nominal, kind, fixed, local and prior. Omit them here"
@@ -508,5 +636,51 @@ mod tests {
         assert!(p(0.5, 0.0, f64::INFINITY).check().is_ok());
         let held = p(0.5, 0.0, 1.0).fixed(true);
         assert_eq!((held.lower(), held.upper()), (0.5, 0.5));
+    }
+
+    /// A missing bound is `null` in JSON. Other numbers that are not finite are errors when they are written,
+    /// because JSON would show them as `null`, too.
+    #[test]
+    fn parameter_survives_json() {
+        let p = |start: f64| Parameter::new("k", start);
+        for parameter in [
+            p(0.5),
+            p(0.5).bounds(f64::NEG_INFINITY, f64::INFINITY),
+            p(0.5).bounds(0.1, f64::INFINITY).scale(Scale::Log).nominal(2.0).in_unit("mm"),
+            p(0.5).variables(["a", "b"]).prior(Prior::Normal { mean: 0.4, sd: 0.1 }).local(true),
+            p(0.5).bounds(0.0, 1.0).delay_of("y").display_name("lag"),
+            p(1.0).variables(["k"]).kind(ParameterKind::Integer).fixed(true),
+            Parameter::tied("k", "c", 2.0, -1.0).offset_of("u").across_units(true),
+        ] {
+            let json = serde_json::to_string(&parameter).unwrap();
+            assert_eq!(serde_json::from_str::<Parameter>(&json).unwrap(), parameter, "{json}");
+            assert_eq!(Parameter::from_record(&parameter.record().unwrap()).unwrap(), parameter);
+        }
+        assert_eq!(p(0.5).bounds(f64::NEG_INFINITY, f64::INFINITY), p(0.5));
+        for parameter in [
+            p(f64::NAN),
+            p(f64::INFINITY),
+            p(0.5).nominal(f64::NAN),
+            p(0.5).bounds(f64::NAN, 1.0),
+            p(0.5).bounds(f64::INFINITY, 1.0),
+            p(0.5).bounds(0.0, f64::NEG_INFINITY),
+        ] {
+            let error = serde_json::to_string(&parameter).unwrap_err().to_string();
+            assert!(error.contains("is not a finite number") && parameter.check().is_err(), "{error}");
+        }
+        // NaN where a number is required becomes null, which cannot be read.
+        for parameter in [
+            p(0.5).prior(Prior::Normal { mean: f64::NAN, sd: 1.0 }),
+            Parameter::tied("k", "c", f64::NAN, 0.0),
+        ] {
+            let json = serde_json::to_string(&parameter).unwrap();
+            assert!(serde_json::from_str::<Parameter>(&json).is_err(), "{json}");
+        }
+        let error = serde_json::from_str::<Parameter>(r#"{"name": "k", "strat": 1}"#).unwrap_err();
+        assert!(error.to_string().contains("strat"), "{error}");
+        let infinite = [("name", Value::Text("k".to_owned())), ("start", Value::Number(1.0))];
+        let infinite = infinite.into_iter().chain([("upper", Value::Number(f64::INFINITY))]);
+        let infinite: Record = infinite.map(|(name, value)| (name.to_owned(), value)).collect();
+        assert_eq!(Parameter::from_record(&infinite).unwrap(), p(1.0));
     }
 }

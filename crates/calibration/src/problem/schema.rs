@@ -2,7 +2,7 @@
 
 use crate::problem::experiment::OutputScale;
 use crate::problem::objective::CostKind;
-use crate::problem::parameter_record::ParameterRecord;
+use crate::problem::parameter::Parameter;
 use fmi::worker::Isolation;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use std::borrow::Cow;
@@ -34,7 +34,7 @@ untagged! {
     /// Start values, or the path of a file that contains them.
     StartValues { File(String), Each(Pairs<ModelValue>) }
     /// Initial value of a state that is not a number.
-    InitialStateRecord { Word(Measured), Fitted(ParameterRecord) }
+    InitialStateRecord { Word(Measured), Fitted(Parameter) }
 }
 
 /// A positive number.

@@ -6,8 +6,8 @@ use super::error_location::{Lines, field, item, named_in};
 use crate::error::Error;
 use crate::output_paths::is_stream;
 use calibration::{
-    Calibration, CalibrationError, Experiment, ExperimentRecord, FitOptions, Parameter, ParameterRecord,
-    RunContext, SimulationSettings, Stage, fit_schema, stages_schema,
+    Calibration, CalibrationError, Experiment, ExperimentRecord, FitOptions, Parameter, RunContext,
+    SimulationSettings, Stage, fit_schema, stages_schema,
 };
 use dfo::{Record, RecordError, Value, field_names};
 use fmi::Fmu;
@@ -55,7 +55,7 @@ fn parameters_schema(generator: &mut SchemaGenerator) -> Schema {
         "required": ["name"],
         "anyOf": [{ "required": ["start"] }, { "required": ["tied_to"] }],
     });
-    let all = [generator.subschema_for::<ParameterRecord>(), has_value];
+    let all = [generator.subschema_for::<Parameter>(), has_value];
     json_schema!({ "type": "array", "items": { "allOf": all }, "minItems": 1 })
 }
 
