@@ -88,9 +88,9 @@ impl SpeculativeEvaluations {
     /// Cancels speculative points that the path can no longer reach, and starts others if workers are free.
     /// `answers` are the answers to the current points of the path, and `open` is the number of missing ones.
     /// `left` is the number of evaluations left in the budget after these points.
-    pub(crate) fn renew<M: Method + ?Sized>(
+    pub(crate) fn renew(
         &mut self,
-        method: &mut M,
+        method: &mut dyn Method,
         round: &mut CountedBatch,
         answers: &[Answer],
         open: usize,

@@ -371,7 +371,7 @@ impl ProblemClass<'_> {
 /// Options of a method, which create the [`Method`] for a problem.
 pub trait MethodOptions {
     /// The method that these options describe.
-    type Method: Method;
+    type Method: Method + Send + 'static;
 
     /// Checks the options against the problem and starts the method.
     ///

@@ -362,9 +362,9 @@ impl Writer {
     /// Replaces the file with the current state. `known` are the outcomes so far of the batch that the method
     /// waits for. `observed` is the last iteration that the observer saw, and `first_recent` is the length of
     /// the trace at that time.
-    pub(crate) fn write<M: Method + ?Sized>(
+    pub(crate) fn write(
         &mut self,
-        method: &M,
+        method: &dyn Method,
         round: &CountedBatch,
         known: &[EarlyOutcome],
         observed: Option<usize>,

@@ -10,6 +10,7 @@ use crate::evaluation::{
 };
 use crate::method_interface::interface::{Batch, Method, MethodDetails, Status};
 use crate::method_interface::tolerances::Limits;
+use crate::methods::BoxedMethod;
 use crate::outcome::answer::{Answer, Failure, Outcome, Want};
 use crate::outcome::termination::{Termination, UNBOUNDED};
 use crate::run::checkpoint::Writer;
@@ -48,8 +49,8 @@ enum Stage {
 
 /// A run.
 #[derive(Debug)]
-pub(crate) struct Drive<M> {
-    pub(crate) method: M,
+pub(crate) struct Drive {
+    pub(crate) method: BoxedMethod,
     pub(crate) round: CountedBatch,
     pub(crate) limits: Limits,
     pub(crate) workers: usize,
@@ -84,9 +85,9 @@ pub(crate) struct Drive<M> {
     cause: Option<StopCause>,
 }
 
-impl<M: Method> Drive<M> {
+impl Drive {
     /// Creates the driver of a started run. `by_hand` is true if the caller supplies the answers.
-    pub(crate) fn new(started: StartedRun<M>, by_hand: bool) -> Self {
+    pub(crate) fn new(started: StartedRun, by_hand: bool) -> Self {
         let StartedRun { method, round, limits, workers, writer, observed, first_recent, before, .. } =
             started;
         // A resumed run may already be over, for any reason.
@@ -606,7 +607,7 @@ fn too_many_failed(round: &CountedBatch, limits: &Limits) -> bool {
 }
 
 /// Checks the limits between two batches, in addition to the limits within a batch.
-fn reached<M: Method + ?Sized>(method: &M, round: &CountedBatch, limits: &Limits) -> Option<Termination> {
+fn reached(method: &dyn Method, round: &CountedBatch, limits: &Limits) -> Option<Termination> {
     if round.target_reached(limits) {
         return Some(Termination::Target);
     }
@@ -622,11 +623,7 @@ fn reached<M: Method + ?Sized>(method: &M, round: &CountedBatch, limits: &Limits
 
 /// Returns the termination of a run at a limit. It is the limit, unless the tests have already passed for the
 /// best point.
-pub(crate) fn limited<M: Method + ?Sized>(
-    method: &M,
-    round: &CountedBatch,
-    limit: Termination,
-) -> Termination {
+pub(crate) fn limited(method: &dyn Method, round: &CountedBatch, limit: Termination) -> Termination {
     let MethodDetails { settled, tests, .. } = method.details();
     let best = round.ledger.best.cost();
     let tested = matches!((tests, best), (Some(tests), Some(best)) if best >= tests.f_best);
@@ -647,8 +644,8 @@ fn meaning(termination: Termination, round: &CountedBatch) -> Termination {
 
 /// Returns the termination of a run that ends after a batch; `None` if the run continues. `Some(None)`: all
 /// starting points of the method failed.
-pub(crate) fn end<M: Method + ?Sized>(
-    method: &M,
+pub(crate) fn end(
+    method: &dyn Method,
     round: &CountedBatch,
     limits: &Limits,
     stopped: Option<&Termination>,

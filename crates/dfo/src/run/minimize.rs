@@ -20,7 +20,7 @@ use crate::run::options::{KnownPoint, RunOptions};
 use crate::run::progress::Progress;
 use crate::run::report::Report;
 use crate::run::requested::RequestedRun;
-use crate::run::start::Description;
+use crate::run::start::{Description, StartedRun};
 use crate::values::choices::{ParameterKind, Search, StopRule, ToleranceMeasure, Transform};
 use base::RunContext;
 use std::fmt;
@@ -152,6 +152,50 @@ impl<'a> ByRun<'a> {
             loss,
             spent,
         }
+    }
+
+    /// True if the objective is known to return residuals.
+    fn has_residuals(&self) -> bool {
+        match &self.source {
+            Source::Objective(objective) => objective.has_residuals(),
+            Source::Batches(_) | Source::Evaluator(_) => self.has_residuals,
+        }
+    }
+
+    /// Drives a started run to its end.
+    fn run(self, started: StartedRun) -> Result<Report, Error> {
+        // The first answer of a batch function shows whether it has residuals.
+        let cannot_have_residuals = matches!(self.source, Source::Objective(_)) && !self.has_residuals();
+        if started.needs_residuals && cannot_have_residuals {
+            return Err(Error::NeedsResiduals { method: started.method.name() });
+        }
+        let Self { mut source, context, mut observer, cutoff_use, loss, spent, .. } = self;
+        let before = Duration::try_from_secs_f64(started.before).unwrap_or(Duration::MAX);
+        let left = started.limits.max_time.map(|t| t.saturating_sub(before).saturating_sub(spent));
+        let context = context.within(left);
+        let here =
+            if context.function().is_some() { OnCallingThread::WhenShort } else { OnCallingThread::AtFirst };
+        let control = ContextPoller::new(context);
+        let (workers, signals) = (started.workers, control.signals());
+        let drive = Drive::new(started, false);
+        let go = |evaluator: &mut dyn Evaluator| {
+            let observer = observer.as_deref_mut();
+            drive.run(Around { evaluator, control: &control, observer })
+        };
+        let mut report = match &mut source {
+            Source::Objective(objective) if workers == 1 => go(&mut CallingThread::new(&**objective)),
+            Source::Objective(objective) => std::thread::scope(|run| match pool(run, workers) {
+                Some(pool) => {
+                    let shared = Shared::new(&**objective, signals, pool.current_num_threads());
+                    pool.in_place_scope_fifo(|scope| go(&mut Threads::new(scope, &shared, here)))
+                }
+                None => go(&mut CallingThread::new(&**objective)),
+            }),
+            Source::Batches(function) => go(&mut Batches::new(function.as_mut(), workers, cutoff_use)),
+            Source::Evaluator(evaluator) => go(evaluator),
+        }?;
+        report.undo(loss);
+        Ok(report)
     }
 }
 
@@ -463,56 +507,19 @@ impl<M: MethodOptions> Minimize<'_, M> {
     /// returns an error if the run ended before any point had a finite cost. Every other end returns a
     /// [`Report`].
     pub fn run(mut self) -> Result<Report, Error> {
-        let ByRun { mut source, context, mut observer, has_residuals, cutoff_use, loss, spent } = self.driver;
-        if let Source::Evaluator(evaluator) = &source {
-            self.description.options.workers = Some(evaluator.width().max(1));
+        let (options, driver) = (&mut self.description.options, self.driver);
+        if let Source::Evaluator(evaluator) = &driver.source {
+            options.workers = Some(evaluator.width().max(1));
         }
-        if let Some(checkpoint) = self.description.options.checkpoint.as_mut().filter(|_| !loss.is_linear()) {
-            checkpoint.tags.push(("loss".to_owned(), loss.to_string()));
+        if let Some(checkpoint) = options.checkpoint.as_mut().filter(|_| !driver.loss.is_linear()) {
+            checkpoint.tags.push(("loss".to_owned(), driver.loss.to_string()));
         }
-        // The first answer of a batch function shows whether it has residuals.
-        let (has_residuals, may_have_some) = match &source {
-            Source::Objective(objective) => (objective.has_residuals(), objective.has_residuals()),
-            Source::Batches(_) | Source::Evaluator(_) => (has_residuals, true),
-        };
-        let started = self.description.begin(has_residuals, loss, false)?;
-        if started.needs_residuals && !may_have_some {
-            return Err(Error::NeedsResiduals { method: started.method.name() });
-        }
-        let before = Duration::try_from_secs_f64(started.before).unwrap_or(Duration::MAX);
-        let left = started.limits.max_time.map(|t| t.saturating_sub(before).saturating_sub(spent));
-        let context = context.within(left);
-        let here =
-            if context.function().is_some() { OnCallingThread::WhenShort } else { OnCallingThread::AtFirst };
-        let control = ContextPoller::new(context);
-        let (workers, signals) = (started.workers, control.signals());
-        let drive = Drive::new(started, false);
-        let go = |evaluator: &mut dyn Evaluator| {
-            let observer = observer.as_deref_mut();
-            drive.run(Around { evaluator, control: &control, observer })
-        };
-        let mut report = match &mut source {
-            Source::Objective(objective) if workers == 1 => go(&mut CallingThread::new(&**objective)),
-            Source::Objective(objective) => std::thread::scope(|run| match pool(run, workers) {
-                Some(pool) => {
-                    let shared = Shared::new(&**objective, signals, pool.current_num_threads());
-                    pool.in_place_scope_fifo(|scope| go(&mut Threads::new(scope, &shared, here)))
-                }
-                None => go(&mut CallingThread::new(&**objective)),
-            }),
-            Source::Batches(function) => go(&mut Batches::new(function.as_mut(), workers, cutoff_use)),
-            Source::Evaluator(evaluator) => go(evaluator),
-        }?;
-        report.undo(loss);
-        Ok(report)
+        let started = self.description.begin(driver.has_residuals(), driver.loss, false)?;
+        driver.run(started)
     }
 }
 
-impl<M> Minimize<'_, M, ByHand>
-where
-    M: MethodOptions,
-    M::Method: Send + 'static,
-{
+impl<M: MethodOptions> Minimize<'_, M, ByHand> {
     /// Starts the run, or continues it from a checkpoint, and returns its optimizer.
     ///
     /// # Errors

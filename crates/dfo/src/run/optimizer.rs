@@ -4,7 +4,6 @@ use crate::error::Error;
 use crate::evaluation::store::FIRST_ID;
 use crate::evaluation::{ByHand, ContextPoller};
 use crate::method_interface::interface::Method;
-use crate::methods::BoxedMethod;
 use crate::outcome::answer::{Answer, Outcome, Want};
 use crate::outcome::termination::Termination;
 use crate::outcome::trace::Trace;
@@ -46,7 +45,7 @@ impl Point {
 /// written as answers come (not too often), at the end, and by [`save`](Self::save).
 #[derive(Debug)]
 pub struct Optimizer {
-    drive: Drive<BoxedMethod>,
+    drive: Drive,
     hand: ByHand,
     deadline: Option<Instant>,
 }
@@ -54,11 +53,11 @@ pub struct Optimizer {
 impl Optimizer {
     /// Starts the run. A time limit counts from this call and is checked when a batch is complete or
     /// requested.
-    pub(crate) fn start<T: Method + Send + 'static>(started: StartedRun<T>) -> Result<Self, Error> {
+    pub(crate) fn start(started: StartedRun) -> Result<Self, Error> {
         let (workers, before) = (started.workers, started.before);
         let left = started.limits.max_time.map(|t| t.saturating_sub(Duration::from_secs_f64(before)));
         let deadline = RunContext::new().within(left).end();
-        let drive = Drive::new(started.map_method(BoxedMethod::new), true);
+        let drive = Drive::new(started, true);
         let mut optimizer = Self { drive, hand: ByHand::new(workers), deadline };
         optimizer.go_on(&RunContext::new())?;
         Ok(optimizer)
@@ -68,7 +67,7 @@ impl Optimizer {
     fn advance(
         &mut self,
         context: &RunContext<'_>,
-        go_on: impl FnOnce(&mut Drive<BoxedMethod>, &mut Around<'_, '_, '_>) -> Result<(), Error>,
+        go_on: impl FnOnce(&mut Drive, &mut Around<'_, '_, '_>) -> Result<(), Error>,
     ) -> Result<(), Error> {
         let control = ContextPoller::new(context.until(self.deadline));
         let mut around = Around { evaluator: &mut self.hand, control: &control, observer: None };

@@ -247,8 +247,8 @@ impl fmt::Display for Report {
 
 /// Builds the result of a method and a ledger; the trace moves into the result. A termination of `None` means
 /// that all starting points failed.
-pub(crate) fn conclude<M: Method + ?Sized>(
-    method: &M,
+pub(crate) fn conclude(
+    method: &dyn Method,
     ledger: &mut Ledger,
     limits: &Limits,
     workers: usize,
@@ -307,8 +307,8 @@ pub(crate) fn conclude<M: Method + ?Sized>(
     })
 }
 
-fn message<M: Method + ?Sized>(
-    method: &M,
+fn message(
+    method: &dyn Method,
     ledger: &Ledger,
     limits: &Limits,
     termination: &Termination,

@@ -6,7 +6,7 @@ use crate::evaluation::ledger::Ledger;
 use crate::evaluation::store::Store;
 use crate::method_interface::interface::{Method, MethodOptions, ProblemClass, Setup};
 use crate::method_interface::tolerances::Limits;
-use crate::methods::NelderMead;
+use crate::methods::{BoxedMethod, NelderMead};
 use crate::outcome::answer::{Answer, Outcome};
 use crate::problem::loss::RobustLoss;
 use crate::problem::option_texts;
@@ -30,8 +30,8 @@ pub(crate) struct Description<M = NelderMead> {
 
 /// A run that is ready to be driven.
 #[derive(Debug)]
-pub(crate) struct StartedRun<T> {
-    pub(crate) method: T,
+pub(crate) struct StartedRun {
+    pub(crate) method: BoxedMethod,
     pub(crate) round: CountedBatch,
     pub(crate) limits: Limits,
     pub(crate) workers: usize,
@@ -47,28 +47,6 @@ pub(crate) struct StartedRun<T> {
     pub(crate) options: Vec<(String, String)>,
     /// Checkpoint from which the run was continued.
     pub(crate) resumed: Option<Resumed>,
-}
-
-impl<T> StartedRun<T> {
-    /// Converts the method to another form.
-    pub(crate) fn map_method<U>(self, form: impl FnOnce(T) -> U) -> StartedRun<U> {
-        let Self { method, round, limits, workers, writer, observed, first_recent, .. } = self;
-        let Self { before, needs_residuals, method_reason, options, resumed, .. } = self;
-        StartedRun {
-            method: form(method),
-            round,
-            limits,
-            workers,
-            writer,
-            observed,
-            first_recent,
-            before,
-            needs_residuals,
-            method_reason,
-            options,
-            resumed,
-        }
-    }
 }
 
 impl<M> Description<M> {
@@ -102,7 +80,7 @@ impl<M: MethodOptions> Description<M> {
         residuals: bool,
         loss: RobustLoss,
         by_hand: bool,
-    ) -> Result<StartedRun<M::Method>, Error> {
+    ) -> Result<StartedRun, Error> {
         self.choose(residuals)?;
         let Self { options, x0, bounds, transforms, sizes, kinds } = self;
         let (method, mut limits) = (&options.method, options.limits);
@@ -151,7 +129,7 @@ impl<M: MethodOptions> Description<M> {
             store.pin(x, Answer { residuals: residuals.clone(), ..Outcome::Value(*cost).into() });
         }
         let mut started = StartedRun {
-            method: method.begin(&setup)?,
+            method: BoxedMethod::new(method.begin(&setup)?),
             round: CountedBatch::new(Ledger::new(n, options.trace_limit, options.trace_residuals), store),
             limits,
             workers: options.workers.unwrap_or(1),
@@ -176,7 +154,7 @@ impl<M: MethodOptions> Description<M> {
             (options.problem.as_deref(), &place),
         );
         if let Some(stored) = checkpoint::read(&place, &fingerprint, setup.seed, n)? {
-            started.method = method.restore(&setup, &stored.method)?;
+            started.method = BoxedMethod::new(method.restore(&setup, &stored.method)?);
             started.round = CountedBatch::new(stored.ledger.into_owned(), stored.store.into_owned());
             started.round.store.forget_aborts();
             started.round.stale = stored.stale;

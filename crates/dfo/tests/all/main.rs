@@ -1,4 +1,4 @@
-//! Tests of the optimisers that can share a process. Tests that count allocations are separate programs.
+//! Tests of the optimisers. Allocations are counted per thread, so all tests share one program.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 #[path = "../common/mod.rs"]
@@ -7,6 +7,7 @@ mod common;
 mod problems;
 
 mod any_problem;
+mod ask_tell;
 mod bad_input;
 mod barrier;
 mod budgets;
@@ -14,6 +15,7 @@ mod checkpoint;
 mod checkpoint_file;
 mod cma_es;
 mod concurrency;
+mod contract;
 mod cutoffs;
 mod differential_evolution;
 mod far_bounds;

@@ -168,11 +168,11 @@ impl Multistart {
     }
 }
 
-fn boxed<M>(options: &M, setup: &Setup, state: Option<&[u8]>) -> Result<Box<dyn Method + Send>, Error>
-where
-    M: MethodOptions,
-    M::Method: Send + 'static,
-{
+fn boxed(
+    options: &impl MethodOptions,
+    setup: &Setup,
+    state: Option<&[u8]>,
+) -> Result<Box<dyn Method + Send>, Error> {
     Ok(match state {
         Some(state) => Box::new(options.restore(setup, state)?),
         None => Box::new(options.begin(setup)?),

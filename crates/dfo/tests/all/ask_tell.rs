@@ -1,7 +1,7 @@
 //! Ask/tell: the trace equals the trace of the driven run, whatever the order and grouping of the answers.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod common;
+use crate::common;
 
 use common::{PLANS, Problem, plan, probe, problems, rosenbrock};
 use dfo::{

@@ -1,7 +1,7 @@
 //! Contracts of every method.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod common;
+use crate::common;
 
 use common::{cutting, methods_for_costs, probe, probe_fails, quiet_panics_on_purpose, rosenbrock, timeless};
 use dfo::{
