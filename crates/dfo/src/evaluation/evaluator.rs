@@ -86,6 +86,12 @@ pub trait Evaluator {
     fn leave(&mut self) -> bool {
         false
     }
+
+    /// Returns the number of evaluations that were lost and that this evaluator has repeated by itself.
+    /// Losses that it reports as answers are not included.
+    fn n_lost(&self) -> usize {
+        0
+    }
 }
 
 impl<E: Evaluator + ?Sized> Evaluator for Box<E> {
@@ -115,6 +121,9 @@ impl<E: Evaluator + ?Sized> Evaluator for Box<E> {
     }
     fn leave(&mut self) -> bool {
         (**self).leave()
+    }
+    fn n_lost(&self) -> usize {
+        (**self).n_lost()
     }
 }
 

@@ -146,6 +146,7 @@ impl Drive {
         self.guesses.cancel(around.evaluator);
         let is_left = around.evaluator.leave();
         self.take_the_rest(&mut around, is_left);
+        self.round.ledger.n_lost += around.evaluator.n_lost();
         let termination = self.ended().unwrap_or(Some(Termination::Interrupted));
         let control = around.control;
         let is_interrupted = || control.check() == Some(StopCause::Interrupted);

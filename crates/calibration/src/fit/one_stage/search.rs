@@ -168,6 +168,10 @@ impl Evaluator for OnEngine<'_, '_> {
     fn leave(&mut self) -> bool {
         self.engine.leave()
     }
+
+    fn n_lost(&self) -> usize {
+        self.engine.n_lost()
+    }
 }
 
 /// Part of the limits that earlier searches have used.
