@@ -26,7 +26,7 @@ LAYERS = {
         fit
         intervals validation
         report export
-        live_page
+        jobs live_page
     """,
     "dfo": """
         values

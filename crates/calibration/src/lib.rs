@@ -20,6 +20,7 @@
 //! - `validation`: validation on held-out data, cross-validation;
 //! - `report`: pages and figures;
 //! - `export`: files, tables, other programs;
+//! - `jobs`: fits by processes that share a folder;
 //! - `live_page`: the page of a running fit.
 //!
 //! Features: `sandbox` (default) and `sparse` enable the features of the same names in `fmi` and `ode`.
@@ -36,6 +37,7 @@ mod export;
 mod findings;
 mod fit;
 mod intervals;
+mod jobs;
 #[cfg(feature = "report")]
 mod live_page;
 mod loaded;
@@ -74,6 +76,7 @@ pub use fmi;
 pub use intervals::bands::{BandOptions, PredictionBand};
 pub use intervals::posterior::{Posterior, PosteriorOptions, PosteriorParameter, WalkerStart};
 pub use intervals::profile::{ParameterProfile, Profile, ProfileEnd, ProfileOptions, ProfilePoint};
+pub use jobs::{JobDriver, JobDriverState, JobFolder, JobPoint, JobStatus};
 #[cfg(feature = "report")]
 pub use live_page::LivePage;
 pub use loaded::calibration::{Calibration, CalibrationBuilder};

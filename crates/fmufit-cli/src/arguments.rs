@@ -1,7 +1,7 @@
 //! Arguments of the command line and the text of `--help`.
 
 use crate::error::Error;
-use calibration::SimulationSettings;
+use calibration::{JobFolder, SimulationSettings};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use fmi::Fmu;
 use std::path::{Path, PathBuf};
@@ -78,6 +78,18 @@ pub(crate) enum Command {
             fmufit resume problem.toml --checkpoint plant.ckpt\n\n\
             The result is bit-for-bit identical to the result of an uninterrupted fit.")]
     Resume(Fit),
+    /// Run a fit as independent jobs that share a folder, for example on a cluster
+    #[command(
+        subcommand,
+        after_help = "Example:\n  \
+            fmufit jobs init problem.toml --jobs 8     creates the folder problem.jobs\n  \
+            fmufit jobs run problem.toml               in each job, on any machine that sees the folder\n  \
+            fmufit jobs status problem.toml            shows the progress\n  \
+            fmufit report problem.jobs/result.fit plant.html\n\n\
+            Jobs may start and die at any time. The result is bit-for-bit identical to the result of\n\
+            `fmufit fit` with the same options and number of workers."
+    )]
+    Jobs(Jobs),
     /// Write the report of a saved fit as a page or as a file for other programs
     #[command(after_help = "Examples:\n  \
             fmufit report plant.fit plant.html    page with tables and figures\n  \
@@ -114,7 +126,9 @@ impl Command {
             | Self::Validate(Validate { json, .. })
             | Self::Check(Check { json, .. })
             | Self::Fit(Fit { json, .. })
-            | Self::Resume(Fit { json, .. }) => *json,
+            | Self::Resume(Fit { json, .. })
+            | Self::Jobs(Jobs::Run(JobsRun { json, .. }) | Jobs::Status(JobsStatus { json, .. })) => *json,
+            Self::Jobs(Jobs::Next(_)) => true,
             _ => false,
         }
     }
@@ -346,6 +360,90 @@ pub(crate) struct Fit {
     #[arg(long)]
     pub(crate) watch: bool,
     /// Print the result as a JSON document
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Jobs {
+    /// Create the folder of a fit
+    Init(JobsInit),
+    /// Work on the fit until it ends: evaluate points, and drive the search if no other job does
+    Run(JobsRun),
+    /// Take a point for another program and print it as a JSON document
+    Next(JobsNext),
+    /// Store the answer of another program at a point
+    Tell(JobsTell),
+    /// Show the progress of the fit
+    Status(JobsStatus),
+}
+
+/// A fit and its folder.
+#[derive(Debug, Args)]
+pub(crate) struct JobsProblem {
+    /// A problem file (see `fmufit init`)
+    #[arg(value_name = "PROBLEM.toml")]
+    pub(crate) problem: PathBuf,
+    /// The folder that the jobs share; default: named after the problem file, next to it
+    #[arg(long, value_name = "FOLDER")]
+    pub(crate) folder: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct JobsInit {
+    #[command(flatten)]
+    pub(crate) at: JobsProblem,
+    /// Number of jobs that will work at the same time; the search plans for it, and the result depends on the
+    /// plan. More or fewer jobs give the same result
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub(crate) jobs: u64,
+    /// An option of the fit, as in [fit]; may be given several times
+    #[arg(short = 'O', long, value_name = "NAME=VALUE")]
+    pub(crate) option: Vec<String>,
+    /// Time without a sign of life after which a job counts as lost and its point is evaluated again
+    #[arg(long, value_name = "SECONDS", default_value_t = JobFolder::DEFAULT_LEASE,
+        value_parser = clap::value_parser!(u64).range(1..))]
+    pub(crate) lease: u64,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct JobsRun {
+    #[command(flatten)]
+    pub(crate) at: JobsProblem,
+    /// Print the result as a JSON document, if this job ends the fit
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct JobsNext {
+    #[command(flatten)]
+    pub(crate) at: JobsProblem,
+    /// Time for the answer; the point is then given to another job
+    #[arg(long, value_name = "SECONDS", default_value_t = 3600, value_parser = clap::value_parser!(u64).range(1..))]
+    pub(crate) lease: u64,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct JobsTell {
+    #[command(flatten)]
+    pub(crate) at: JobsProblem,
+    /// The point, as printed by `fmufit jobs next`
+    pub(crate) point: String,
+    /// File with the weighted residuals as numbers, in the order experiment, output, time; default: the
+    /// standard input
+    #[arg(long, value_name = "FILE")]
+    pub(crate) residuals: Option<PathBuf>,
+    /// The simulation failed at this point, for this reason
+    #[arg(long, value_name = "REASON", conflicts_with = "residuals")]
+    pub(crate) failed: Option<String>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct JobsStatus {
+    #[command(flatten)]
+    pub(crate) at: JobsProblem,
+    /// Print a JSON document
     #[arg(long)]
     pub(crate) json: bool,
 }

@@ -465,7 +465,7 @@ impl Calibration {
     }
 
     /// Returns the names and values that identify a fit.
-    fn tags(&self) -> impl Iterator<Item = (&str, &str)> {
+    pub(crate) fn tags(&self) -> impl Iterator<Item = (&str, &str)> {
         self.identity.iter().map(|(name, value)| (name.as_str(), value.as_str()))
     }
 

@@ -1,7 +1,7 @@
 //! `fmufit fit` and `fmufit resume`: fit parameters to recordings.
 
 use super::report;
-use crate::arguments::Fit;
+use crate::arguments;
 use crate::console::{Console, LiveLine};
 use crate::error::{Error, Exit};
 use crate::interrupt::Interrupt;
@@ -9,7 +9,7 @@ use crate::output_paths::check_written;
 use crate::problem::{self, short_form};
 use base::Number;
 use calibration::{
-    Calibration, CurrentPhase, FitOptions, FitPhase, LivePage, Origin, RunContext, Severity, Stage,
+    Calibration, CurrentPhase, Fit, FitOptions, FitPhase, LivePage, Origin, RunContext, Severity, Stage,
 };
 use dfo::{Checkpoint, Progress, Resume, Termination};
 use std::cell::RefCell;
@@ -26,7 +26,7 @@ pub(crate) enum Begin {
     Resume,
 }
 
-pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Exit, Error> {
+pub(crate) fn run(arguments: &arguments::Fit, begin: Begin, console: &Console) -> Result<Exit, Error> {
     let mut file = problem::of_arguments(&arguments.problem, console)?;
     file.set("fit", short_form::options(&arguments.option)?);
     let written = [&arguments.checkpoint, &arguments.save, &arguments.report];
@@ -56,13 +56,10 @@ pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Ex
     // Checked before the page gets an address, and separately from later failures.
     check_fit(&calibration, &options, &stages)?;
     let watch = arguments.watch.then(|| watch(&calibration, console)).transpose()?;
-    let fit = searched(&calibration, options, &stages, (&interrupt, watch.as_ref()), console)
+    let fit = searched(&calibration, options, &stages, (&is_asked, watch.as_ref()), console)
         .inspect_err(|error| watch.iter().for_each(|watch| watch.show_error(&error.to_string())))?;
     // Printed first, because the following steps may take long or fail.
-    match arguments.json {
-        true => console.data(&(fit.to_json(&calibration).map_err(Error::of_work)? + "\n")),
-        false => console.result(&fit.to_string()),
-    }
+    print(&fit, &calibration, arguments.json, console)?;
     // The page of the result waits for a request.
     let is_interrupted = fit.report.termination == Termination::Interrupted || interrupt.is_asked();
     if let Some(path) = &arguments.save {
@@ -82,15 +79,33 @@ pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Ex
     if let Some(watch) = &watch {
         show_report(watch, &fit, &calibration, &interrupt, console);
     }
-    // Printed last, because a terminal shows the end and a log ends there. The findings are above, among the
-    // results.
-    reasons_against(&fit).iter().for_each(|reason| console.say(reason));
-    Ok(match (fit.is_success(), fit.is_usable()) {
+    Ok(conclude(&fit, is_interrupted, console))
+}
+
+/// Prints the result of a fit.
+pub(super) fn print(
+    fit: &Fit,
+    calibration: &Calibration,
+    json: bool,
+    console: &Console,
+) -> Result<(), Error> {
+    match json {
+        true => console.data(&(fit.to_json(calibration).map_err(Error::of_work)? + "\n")),
+        false => console.result(&fit.to_string()),
+    }
+    Ok(())
+}
+
+/// Prints the reasons against a result and returns the exit code. They are printed last, because a terminal
+/// shows the end and a log ends there. The findings are above, among the results.
+pub(super) fn conclude(fit: &Fit, is_interrupted: bool, console: &Console) -> Exit {
+    reasons_against(fit).iter().for_each(|reason| console.say(reason));
+    match (fit.is_success(), fit.is_usable()) {
         _ if is_interrupted => Exit::Interrupted,
         (false, _) => Exit::NoSuccess,
         (true, false) => Exit::NotUsable,
         (true, true) => Exit::Success,
-    })
+    }
 }
 
 /// Rejects options and stages that the fit would reject.
@@ -112,7 +127,7 @@ pub(super) fn check_fit(
 }
 
 /// Returns the reasons why the result of a fit should not be used, with the probable cause.
-fn reasons_against(fit: &calibration::Fit) -> Vec<String> {
+fn reasons_against(fit: &Fit) -> Vec<String> {
     let findings = fit.findings();
     let errors = findings.iter().filter(|finding| finding.severity == Severity::Error);
     let mut said: Vec<String> =
@@ -137,7 +152,7 @@ fn watch(calibration: &Calibration, console: &Console) -> Result<LivePage, Error
 /// Ctrl-C is not possible, so the page ends with the program.
 fn show_report(
     watch: &LivePage,
-    fit: &calibration::Fit,
+    fit: &Fit,
     calibration: &Calibration,
     interrupt: &Interrupt,
     console: &Console,
@@ -158,14 +173,14 @@ fn show_report(
     }
 }
 
-/// Runs the fit and shows its progress. Either `interrupt` or `watch` can end the fit.
-fn searched(
+/// Runs the fit and shows its progress. Either `is_interrupted` or `watch` can end the fit.
+pub(super) fn searched(
     calibration: &Calibration,
     options: FitOptions<'_>,
     stages: &[Stage],
-    (interrupt, watch): (&Interrupt, Option<&LivePage>),
+    (is_interrupted, watch): (&dyn Fn() -> bool, Option<&LivePage>),
     console: &Console,
-) -> Result<calibration::Fit, Error> {
+) -> Result<Fit, Error> {
     let mut options = options;
     watch.iter().for_each(|watch| watch.attach(&mut options));
     let shown = Shown {
@@ -175,7 +190,7 @@ fn searched(
         state: RefCell::default(),
     };
     let poll = || {
-        let is_asked = interrupt.is_asked();
+        let is_asked = is_interrupted();
         match is_asked {
             true => shown.line.end(),
             false => shown.show(),

@@ -6,6 +6,7 @@ mod completions;
 mod fit;
 mod info;
 mod init;
+mod jobs;
 mod report;
 mod schema;
 mod simulate;
@@ -26,6 +27,7 @@ pub(crate) fn run(command: Command, console: &Console) -> Result<Exit, Error> {
         Command::Check(arguments) => check::run(&arguments, console),
         Command::Fit(arguments) => fit::run(&arguments, fit::Begin::Auto, console),
         Command::Resume(arguments) => fit::run(&arguments, fit::Begin::Resume, console),
+        Command::Jobs(arguments) => jobs::run(&arguments, console),
         Command::Report(arguments) => report::run(&arguments, console),
         Command::Build(arguments) => build::run(&arguments, console),
         Command::Schema(arguments) => schema::run(&arguments, console),

@@ -2,7 +2,7 @@
 
 use crate::support::Folder;
 
-const COMMANDS: [&str; 11] = [
+const COMMANDS: [&str; 12] = [
     "info",
     "validate",
     "simulate",
@@ -10,6 +10,7 @@ const COMMANDS: [&str; 11] = [
     "check",
     "fit",
     "resume",
+    "jobs",
     "report",
     "build",
     "schema",

@@ -6,6 +6,7 @@ mod fit;
 mod help;
 mod init;
 mod interrupt;
+mod jobs;
 mod json_schema;
 mod models;
 mod schema;
