@@ -21,6 +21,11 @@ use crate::tableau::Tsit5;
 /// Below this relative tolerance, DOP853 is the explicit method, because it then needs fewer right-hand sides
 /// (`benches/work_precision.md`).
 const TIGHT: f64 = 1e-7;
+/// At tight tolerances, Tsit5 replaces DOP853 after an event if the last stretch took at most this number of
+/// steps of DOP853, whose restarts are expensive. DOP853 returns once a stretch costs more than its own last
+/// one did. Each return halves the number, so that a run wastes at most four stretches. From the table of
+/// events in `benches/work_precision.md`.
+const SHORT: u32 = 8;
 /// From this number of states, BDF replaces Radau5 if the largest eigenvalue is real and the system is
 /// nonlinear. BDF then needs fewer right-hand sides and a fifth of the linear algebra for the same error. For
 /// linear systems, Radau5 needs one iteration per step and is better (dense diffusion and advection of
@@ -75,8 +80,16 @@ pub(crate) struct Auto {
     dop853: ExplicitRk<16, Dop853>,
     radau5: Radau5,
     bdf: Multistep,
-    /// The explicit method chosen for the tolerance.
+    /// True if the tolerance is tight.
+    is_tight: bool,
+    /// The explicit method chosen for the tolerance and the distance of events.
     explicit: Active,
+    /// Steps and right-hand sides of explicit methods since the last event, the right-hand sides of the last
+    /// short stretch of DOP853, and the number of its steps that counts as short.
+    steps: u32,
+    stretch: f64,
+    budget: f64,
+    short: u32,
     active: Active,
     /// True if Radau5 (or BDF) has allocated its work space for this system.
     radau5_has_begun: bool,
@@ -134,7 +147,12 @@ impl Auto {
             dop853: ExplicitRk::new(),
             radau5: Radau5::default(),
             bdf: Multistep::new(Formula::Bdf, false),
+            is_tight: rtol < TIGHT,
             explicit,
+            steps: 0,
+            stretch: 0.0,
+            budget: f64::INFINITY,
+            short: SHORT,
             active: explicit,
             radau5_has_begun: false,
             bdf_has_begun: false,
@@ -195,6 +213,26 @@ impl Auto {
 
     fn is_explicit(&self) -> bool {
         self.active == self.explicit
+    }
+
+    /// Changes the explicit method at an event (or the start) if the tolerance is tight and it is in use.
+    fn begin_stretch(&mut self) {
+        if self.active == Active::Dop853 && (1..=self.short).contains(&self.steps) {
+            self.budget = self.stretch;
+            (self.explicit, self.active) = (Active::Tsit5, Active::Tsit5);
+            self.tsit5.forget();
+        }
+        (self.steps, self.stretch) = (0, 0.0);
+    }
+
+    /// Returns to DOP853 if Tsit5 has cost more in this stretch than DOP853 in its last one.
+    fn end_short_stretches(&mut self) {
+        if self.is_tight && self.active == Active::Tsit5 && self.stretch > self.budget {
+            self.dop853.take_over(self.tsit5.derivative());
+            (self.explicit, self.active) = (Active::Dop853, Active::Dop853);
+            self.short /= 2;
+            (self.mean_work, self.mean_advance) = (0.0, 0.0);
+        }
     }
 
     /// Resets the counts.
@@ -371,6 +409,11 @@ impl Stepper for Auto {
 
     fn begin(&mut self, system: &dyn HybridSystem) -> CallResult<()> {
         self.only_radau5 = system.mass_matrix().is_some();
+        if self.is_tight {
+            self.explicit = Active::Dop853;
+            (self.steps, self.short) = (0, SHORT);
+            self.tsit5.begin(system)?;
+        }
         self.active = if self.only_radau5 { Active::Radau5 } else { self.explicit };
         self.active_mut().begin(system)?;
         self.radau5_has_begun = self.only_radau5;
@@ -393,6 +436,7 @@ impl Stepper for Auto {
     }
 
     fn evaluate(&mut self, equations: &mut Equations<'_>, t: f64, x: &[f64]) -> CallResult<()> {
+        self.begin_stretch();
         self.active_mut().evaluate(equations, t, x)
     }
 
@@ -494,6 +538,8 @@ impl Stepper for Auto {
     fn accept(&mut self, h: f64, theta: f64) -> f64 {
         let proposed = self.active_mut().accept(h, theta);
         let work = std::mem::take(&mut self.work) as f64;
+        self.steps += 1;
+        self.stretch += work;
         // After an event, the method does not change, because the right-hand side at the end of the step is
         // unknown.
         if theta < 1.0 {
@@ -503,7 +549,10 @@ impl Stepper for Auto {
             Active::Radau5 if self.on_trial => return self.judge(work, h, proposed),
             Active::Radau5 => return self.watch_radau5(work, h, proposed),
             Active::Bdf => {}
-            Active::Tsit5 | Active::Dop853 => self.watch_explicit(work, h),
+            Active::Tsit5 | Active::Dop853 => {
+                self.watch_explicit(work, h);
+                self.end_short_stretches();
+            }
         }
         proposed
     }

@@ -155,3 +155,34 @@ fn auto_continues_when_a_trial_is_impossible() {
     let report = run(Method::Auto, &mut system, 10.0).unwrap();
     assert!(system.0 > 0 && report.stats.newton_iterations == 0, "{:?}", report.stats);
 }
+
+/// Counts right-hand sides of a bouncing ball, of a switched converter, and of an oscillator with distant
+/// events.
+#[test]
+fn auto_uses_tsit5_at_tight_tolerances_if_events_are_close() {
+    let ball = |method, rtol| {
+        let f = |_: f64, x: &[f64], dx: &mut [f64]| (dx[0], dx[1]) = (x[1], -9.81);
+        let floor = Event::new(|_, x| x[0]).direction(Direction::Down);
+        let run = ode::solve(f, 0.0..8.0, &[1.0, 0.0]).method(method).relative_tolerance(rtol).event(floor);
+        run.on_event(|_, x, _| x[1] *= -0.95).run().unwrap().report.stats
+    };
+    let periodic = |method, rtol, period: f64| {
+        let f = |_: f64, x: &[f64], dx: &mut [f64]| (dx[0], dx[1], dx[2]) = (x[1], -x[0], 1.0);
+        let clock = Event::new(move |_, x| x[2] - period).direction(Direction::Up);
+        let run = ode::solve(f, 0.0..40.0 * period, &[1.0, 0.0, 0.0]).method(method).relative_tolerance(rtol);
+        let run = run.event(clock).on_event(|_, x, _| (x[0], x[2]) = (0.98 * x[0] + 0.01, 0.0)).run();
+        run.unwrap().report.stats
+    };
+    for rtol in [9e-8, 1e-8, 1e-9] {
+        let work = |method| ball(method, rtol).right_hand_sides as f64;
+        let (auto, tsit5) = (work(Method::Auto), work(Method::Tsit5));
+        assert!(auto < 1.2 * tsit5, "{rtol:e}: {auto} and {tsit5}");
+    }
+    for rtol in [9e-8, 1e-9, 1e-11] {
+        for period in [0.1, 0.3, 1.0, 3.0, 10.0] {
+            let work = |method| periodic(method, rtol, period).right_hand_sides as f64;
+            let [auto, tsit5, dop853] = [Method::Auto, Method::Tsit5, Method::Dop853].map(work);
+            assert!(auto < 1.2 * tsit5.min(dop853), "{rtol:e}, {period}: {auto}, {tsit5}, {dop853}");
+        }
+    }
+}
