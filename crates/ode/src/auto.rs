@@ -58,6 +58,12 @@ const DECIDED: i32 = 4;
 /// steps. For a linear system, rounding leaves about 1e-8, the error of a finite-difference Jacobian.
 const NONLINEAR_STEPS: u32 = 3;
 const LINEAR: f64 = 1e-6;
+/// After this number of trials lost because Newton's method failed, or of failures between accepted steps,
+/// BDF replaces Radau5 if the largest eigenvalue is real. Slopes that change within the tolerance, as in a
+/// flow through a valve with a narrow linear part, can let each trial of Radau5 fail. With 1, BDF also
+/// replaces Radau5 for HIRES, whose error then decreases irregularly with the tolerance
+/// (`tests/all/vectors.rs`).
+const UNSOLVED: u32 = 2;
 /// Largest cosine between an eigenvector and its image for which the eigenvalue counts as real and negative.
 const REAL: f64 = -0.9;
 /// Weight of the past in the means of work and advance, per step.
@@ -113,6 +119,8 @@ pub(crate) struct Auto {
     balance: i32,
     /// Steps of Radau5 that showed the system to be nonlinear.
     nonlinear: u32,
+    /// Trials lost, or successive steps repeated, because Newton's method of Radau5 failed.
+    unsolved: u32,
     /// Step size of the explicit method when the trial began.
     explicit_h: f64,
     /// True if BDF is used from the next step.
@@ -168,6 +176,7 @@ impl Auto {
             on_trial: false,
             balance: 0,
             nonlinear: 0,
+            unsolved: 0,
             explicit_h: 0.0,
             bdf_is_next: false,
             first_share: rtol.powf(0.25),
@@ -281,6 +290,19 @@ impl Auto {
         Ok(())
     }
 
+    /// Continues with BDF and the Jacobian of Radau5.
+    fn use_bdf(&mut self, system: &dyn HybridSystem, x: &[f64]) -> CallResult<()> {
+        if !self.bdf_has_begun {
+            self.bdf.begin(system)?;
+            self.bdf_has_begun = true;
+        }
+        self.bdf.take_over(x, self.radau5.derivative());
+        self.bdf.freshness_mut().take_over(self.radau5.freshness_mut());
+        self.active = Active::Bdf;
+        self.on_trial = false;
+        Ok(())
+    }
+
     /// Returns to the explicit method after a lost trial. The next trial waits longer.
     fn give_up_trial(&mut self) {
         self.leave_radau5();
@@ -378,6 +400,7 @@ impl Auto {
         if self.only_radau5 {
             return proposed;
         }
+        self.unsolved = 0;
         self.nonlinear += u32::from(self.radau5.contraction() > LINEAR);
         let (_, cosine) = self.radau5.spectrum();
         if self.radau5.derivative().len() >= LARGE {
@@ -425,6 +448,7 @@ impl Stepper for Auto {
         self.patience = if self.explicit == Active::Tsit5 { PATIENCE } else { 1.0 };
         self.caution = 1.0;
         self.left_at = None;
+        self.unsolved = 0;
         self.rate = 0.0;
         self.response = 0.0;
         self.mean_work = 0.0;
@@ -482,13 +506,7 @@ impl Stepper for Auto {
         if self.is_explicit() {
             self.try_radau5(equations, trial.h)?;
         } else if std::mem::take(&mut self.bdf_is_next) {
-            if !self.bdf_has_begun {
-                self.bdf.begin(equations.system)?;
-                self.bdf_has_begun = true;
-            }
-            self.bdf.take_over(trial.x, self.radau5.derivative());
-            self.bdf.freshness_mut().take_over(self.radau5.freshness_mut());
-            self.active = Active::Bdf;
+            self.use_bdf(equations.system, trial.x)?;
         }
         let calls = |equations: &Equations<'_>| {
             equations.stats.right_hand_sides + equations.stats.directional_derivatives
@@ -497,6 +515,17 @@ impl Stepper for Auto {
         let attempt = self.active_mut().try_step(equations, trial, x_new);
         self.work += calls(equations) - before;
         let is_hopeless = matches!(attempt, Ok(Attempt::NotSolved { .. }) | Err(CallError::Discard));
+        if self.active == Active::Radau5
+            && !self.only_radau5
+            && matches!(attempt, Ok(Attempt::NotSolved { .. }))
+        {
+            self.unsolved += 1;
+            if self.unsolved >= UNSOLVED && self.radau5.spectrum().1 < REAL {
+                let h = if self.on_trial { self.explicit_h } else { trial.h };
+                self.use_bdf(equations.system, trial.x)?;
+                return Ok(Attempt::NotSolved { h: self.first_share * h });
+            }
+        }
         if self.on_trial && is_hopeless {
             // The equations cannot be solved here, or the Jacobian cannot be evaluated. The explicit method
             // needs neither.

@@ -13,10 +13,10 @@ use std::time::Duration;
 #[non_exhaustive]
 pub enum Method {
     /// [`Tsit5`](Self::Tsit5), or [`Dop853`](Self::Dop853) below a relative tolerance of 1e-7 unless events
-    /// are close to each other. Switches to
-    /// [`Radau5`](Self::Radau5) if trial steps of an implicit method advance more per right-hand side.
-    /// Switches to [`Bdf`](Self::Bdf) instead for nonlinear systems of 16 or more states whose largest
-    /// eigenvalue is real.
+    /// are close to each other. Switches to [`Radau5`](Self::Radau5) if trial steps of an implicit method
+    /// advance more per right-hand side. Switches to [`Bdf`](Self::Bdf) instead if the largest eigenvalue is
+    /// real and the system is nonlinear with 16 or more states, or Newton's method of Radau5 fails
+    /// repeatedly.
     #[default]
     Auto,
     /// Tsitouras 5(4), explicit, adaptive.
