@@ -193,11 +193,11 @@ def solve(
     method : str
         "auto" (Tsit5, below rtol 1e-7 DOP853 unless events are close to each other; switches to Radau5 if an
         implicit method advances more per right-hand side, or to BDF for nonlinear systems with at least 16
-        states), "tsit5", "dop853" (for tight tolerances), "radau5" (stiff), "adams" (not stiff, expensive
-        right-hand side, few events), "bdf" (stiff, expensive right-hand side, few events); with a fixed `step`,
-        "rk4" and "euler". SciPy's names "RK45", "Radau" and "LSODA" map to "tsit5", "radau5" and "auto".
-        "radau5" and "bdf" use dense matrices of n x n entries without `jac_sparsity`. If they are too large, a
-        MemoryError is raised before they are allocated.
+        states or if the Newton iterations of Radau5 fail), "tsit5", "dop853" (for tight tolerances), "radau5"
+        (stiff), "adams" (not stiff, expensive right-hand side, few events), "bdf" (stiff, expensive right-hand
+        side, few events); with a fixed `step`, "rk4" and "euler". SciPy's names "RK45", "Radau" and "LSODA" map
+        to "tsit5", "radau5" and "auto". "radau5" and "bdf" use dense matrices of n x n entries without
+        `jac_sparsity`. If they are too large, a MemoryError is raised before they are allocated.
     t_eval : array_like, shape (m,), optional
         Times at which to store the solution, in the order of the integration and within the span. At a time at which
         `on_event` changes the state, the value after the change is stored. A time listed twice gives the values
