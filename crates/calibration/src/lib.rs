@@ -84,7 +84,7 @@ pub use loaded::effort::Effort;
 pub use loaded::worker::serve_if_worker;
 pub use problem::column_units::{InputColumn, recorded_inputs};
 pub use problem::definition::{ModelFile, Problem};
-pub use problem::experiment::{Experiment, InitialState, OutputScale, Weight};
+pub use problem::experiment::{Experiment, InitialState, OutputScale, Sigma, Weight};
 pub use problem::experiment_record::ExperimentRecord;
 pub use problem::objective::{Compared, CostKind, CustomCost, CustomFailure, NamedCost};
 pub use problem::parameter::{Parameter, Scale, Target, Tie};

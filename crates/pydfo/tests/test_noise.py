@@ -37,12 +37,69 @@ def test_stated_noise_is_kept() -> None:
     assert stated.noise is not None and stated.noise.source == "stated" and stated.noise.sd == {}
     assert abs(stated.x[0] - 2.0) < 4 * stated.stderr[0]
     of_one = decay(1e-3, Normal(1.0, 0.3)).fit(noise="stated")
-    assert of_one.x[0] < 1.5 and of_one.noise is not None and of_one.noise.source == "stated"
+    assert of_one.x[0] < 1.5 and of_one.noise is not None and of_one.noise.source == "known"
     assert Calibration(example_fmu("dahlquist"), {"time": T, "x": np.exp(-T)}, "x", [Parameter("k", 2, 0, 9)]).fit().noise is None
     with pytest.raises(ValueError, match="noise = 'known' is invalid; expected one of: 'auto', 'stated', 'estimated'"):
         decay(1e-3, Normal(1.0, 0.3)).fit(noise="known")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="noise 'estimated' requires the sum of squares"):
         decay(1e-3, Normal(1.0, 0.3)).fit(noise="estimated", loss="huber")
+
+
+def test_known_sigma_gives_the_standard_errors_of_curve_fit(tmp_path: Path) -> None:
+    curve_fit = pytest.importorskip("scipy.optimize").curve_fit
+    sigma = 0.02 * (1 + T)
+    x = 1.5 * np.exp(-2.0 * T) + sigma * np.random.default_rng(3).standard_normal(51)
+    parameters = [Parameter("k", 1.0, 0.01, 50), Parameter("x", 1.0, 0.1, 9)]
+    data = {"time": T, "x": x, "s": sigma}
+
+    def errors(absolute: bool) -> np.ndarray:
+        of = lambda t, k, start: start * np.exp(-k * t)  # noqa: E731
+        return np.sqrt(np.diag(curve_fit(of, T, x, [1.0, 1.0], sigma, absolute, xtol=1e-12, ftol=1e-12)[1]))
+
+    settings = {"relative_tolerance": 1e-10}
+    weighted = Calibration(example_fmu("dahlquist"), data, "x", parameters, weights={"x": 1 / sigma}, **settings)
+    np.testing.assert_allclose(weighted.fit().stderr, errors(False), rtol=1e-4)
+    np.testing.assert_allclose(weighted.fit(noise="stated").stderr, errors(True), rtol=1e-4)
+    for given in ("s", {"x": "s"}, {"x": sigma}):
+        fit = Calibration(example_fmu("dahlquist"), data, "x", parameters, sigma=given, **settings).fit()
+        np.testing.assert_allclose(fit.stderr, errors(True), rtol=1e-4)
+        assert fit.noise is not None and fit.noise.source == "known" and "known (sigma)" in str(fit)
+        assert fit.uncertainty is not None and np.isinf(fit.uncertainty.degrees_of_freedom)
+        low, high = fit.profile("k").intervals["k"]
+        assert (high - low) / (2 * 1.96 * fit.stderr[0]) == pytest.approx(1, rel=0.05)
+        np.testing.assert_allclose(fit.prediction_band()["x"].noise, sigma)
+    fit.save(tmp_path / "a.fit")
+    assert pydfo.load_fit(tmp_path / "a.fit").profile("k").intervals == fit.profile("k").intervals
+    assert fit.to_dict()["noise"] == "known"
+
+
+def test_sigma_reports_wrong_arguments() -> None:
+    def build(**own: Any) -> Calibration:
+        return Calibration(example_fmu("dahlquist"), {"time": T, "x": np.exp(-T)}, "x", [Parameter("k", 2, 0, 9)], **own)
+
+    with pytest.raises(ValueError, match="sigma: unknown output 'y'; expected one of: x"):
+        build(sigma={"y": 1.0})
+    with pytest.raises(ValueError, match="output 'x' has a weight and a sigma"):
+        build(sigma=0.1, weights={"x": 3.0})
+    with pytest.raises(ValueError, match="sigma 0 of output 'x' must be positive"):
+        build(sigma={"x": 0.0})
+    with pytest.raises(ValueError, match=r"the noise of 'x' is known \(sigma\)"):
+        build(sigma=0.1).fit(objective="likelihood")
+
+
+@pytest.mark.parametrize("absolute", [True, False])
+def test_least_squares_has_the_covariance_of_curve_fit(absolute: bool) -> None:
+    curve_fit = pytest.importorskip("scipy.optimize").curve_fit
+    y = 1.5 * np.exp(-2.0 * T) + 0.03 * np.random.default_rng(4).standard_normal(51)
+    found = pydfo.least_squares(
+        lambda p: (p[0] * np.exp(-p[1] * T) - y) / 0.03, [1.0, 1.0], x_tol=1e-9, f_tol=1e-12, absolute_sigma=absolute
+    )
+    sigma = np.full(51, 0.03)
+    expected = curve_fit(lambda t, a, k: a * np.exp(-k * t), T, y, [1.0, 1.0], sigma, absolute)[1]
+    assert found.cov is not None
+    np.testing.assert_allclose(found.cov, expected, rtol=1e-2)
+    with pytest.raises(ValueError, match="absolute_sigma=True requires loss='linear', not 'huber'"):
+        pydfo.least_squares(lambda p: p - y[:1], [1.0], loss="huber", absolute_sigma=True)
 
 
 def test_noise_is_kept_by_files_pickles_and_checkpoints(tmp_path: Path) -> None:

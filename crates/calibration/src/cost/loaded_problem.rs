@@ -232,6 +232,7 @@ fn layout(problem: &Problem, simulations: &[Simulation], elements: &[Element]) -
             let is_own = |(state, initial): &(String, InitialState)| {
                 *state == residuals.variable && *initial == InitialState::Measured
             };
+            residuals.is_noise_known = experiment.outputs[residuals.output].weight.is_known_noise();
             residuals.starts_simulation = experiment.initial_states.iter().any(is_own)
                 && residuals
                     .times

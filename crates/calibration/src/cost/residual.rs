@@ -111,6 +111,7 @@ impl Comparison {
             measured: counted.values.clone(),
             weights: counted.weights.clone(),
             starts_simulation: false,
+            is_noise_known: false,
         };
         self.outputs.iter().enumerate().map(of_output).collect()
     }

@@ -3,7 +3,7 @@
 use crate::data::{Data, Unit, UnitConversion, UnitError, find_column, listed, parts};
 use crate::error::CalibrationError;
 use crate::problem::definition::Problem;
-use crate::problem::experiment::{Experiment, Measured, Weight};
+use crate::problem::experiment::{Experiment, Measured, Sigma, Weight};
 use crate::problem::measurements::{is_mask, weights_of_rows};
 use crate::problem::warning::SetupWarning;
 use fmi::description::{Causality, Variable, VariableKind};
@@ -110,11 +110,16 @@ fn convert_weights(
         let Measured { variable, column: own, weight } = &experiment.outputs[k];
         if weight.states_noise() && experiment.data.full_name(own) == Some(column) {
             let weights = weights_of_rows(experiment, variable, own, weight)?;
-            if is_mask(&weights) {
+            let is_known = weight.is_known_noise();
+            if is_mask(&weights) && !is_known {
                 continue;
             }
-            let converted = weights.iter().map(|weight| weight / conversion.apply_to_difference(1.0).abs());
-            experiment.outputs[k].weight = Weight::Rows(converted.collect());
+            let factor = conversion.apply_to_difference(1.0).abs();
+            let converted: Vec<f64> = weights.iter().map(|weight| weight / factor).collect();
+            experiment.outputs[k].weight = match is_known {
+                true => Sigma::of_weights(&converted).into(),
+                false => Weight::Rows(converted.into()),
+            };
         }
     }
     Ok(())

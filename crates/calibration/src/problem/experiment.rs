@@ -80,21 +80,62 @@ pub enum Weight {
     /// The inverse of this scale for all measurements, so that outputs in different units have comparable
     /// weight. The scale is computed from the whole recording, even if only a part of it counts.
     Inverse(OutputScale),
+    /// The inverse of a known standard deviation. Standard errors, intervals, profiles and bands are then
+    /// absolute: the size of the residuals does not change them.
+    Sigma(Sigma),
+}
+
+/// Known standard deviation of the noise of an output, in the unit of its column. A measurement with an
+/// infinite standard deviation does not count.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum Sigma {
+    /// One number for all measurements.
+    Constant(f64),
+    /// The value of this column in the row of the measurement.
+    Column(String),
+    /// One number for each row of the recording.
+    Rows(Series),
+}
+
+impl Sigma {
+    /// Returns the standard deviations that belong to these weights.
+    pub(crate) fn of_weights(weights: &[f64]) -> Self {
+        Self::Rows(weights.iter().map(|weight| 1.0 / weight).collect())
+    }
 }
 
 impl Weight {
+    /// Returns the column with the weights or standard deviations, if any.
+    pub(crate) fn column(&self) -> Option<&str> {
+        match self {
+            Self::Column(column) | Self::Sigma(Sigma::Column(column)) => Some(column),
+            _ => None,
+        }
+    }
+
+    /// True if the weight is the inverse of a known standard deviation.
+    pub(crate) fn is_known_noise(&self) -> bool {
+        matches!(self, Self::Sigma(_))
+    }
+
     /// True if the weight can be interpreted as 1 over the standard deviation of the noise.
     pub(crate) fn states_noise(&self) -> bool {
         match self {
             Self::Constant(weight) => *weight != 1.0,
             Self::Inverse(_) => false,
-            Self::Column(_) | Self::Rows(_) => true,
+            Self::Column(_) | Self::Rows(_) | Self::Sigma(_) => true,
         }
     }
 
     /// True if the weight only divides by the scale of the measurements.
     pub(crate) fn is_scale(&self) -> bool {
         matches!(self, Self::Inverse(_))
+    }
+}
+
+impl From<Sigma> for Weight {
+    fn from(sigma: Sigma) -> Self {
+        Self::Sigma(sigma)
     }
 }
 

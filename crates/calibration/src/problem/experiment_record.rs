@@ -3,10 +3,10 @@
 
 use crate::data::{CsvRequest, Data, ParameterSet};
 use crate::error::CalibrationError;
-use crate::problem::experiment::{Experiment, InitialState, OutputScale, Weight};
+use crate::problem::experiment::{Experiment, InitialState, OutputScale, Sigma, Weight};
 use crate::problem::parameter::Parameter;
 #[cfg(feature = "schema")]
-use crate::problem::schema::{InitialStateRecord, NumberOr, Pairs, StartValues, Weights};
+use crate::problem::schema::{InitialStateRecord, NumberOr, OutputWeight, Pairs, StartValues, Weights};
 use base::RunContext;
 use dfo::{Record, RecordError, Value, read_record};
 use serde::Deserialize;
@@ -31,6 +31,9 @@ pub struct ExperimentRecord {
     /// A number or a column for each output, which multiplies its residuals; or a scale for all outputs.
     #[cfg_attr(feature = "schema", schemars(with = "Weights"))]
     weights: Value,
+    /// The known standard deviation of the noise of each output: a number or a column.
+    #[cfg_attr(feature = "schema", schemars(with = "Pairs<OutputWeight>"))]
+    sigma: Value,
     /// The column that drives each input, or its constant value.
     #[cfg_attr(feature = "schema", schemars(with = "Pairs<NumberOr<String>>"))]
     inputs: Value,
@@ -67,6 +70,8 @@ impl Experiment {
     /// - `outputs`: the column of each variable. Use a list of pairs if their order matters. Use a list of
     ///   names if columns and variables have the same names;
     /// - `weights`: a number or a column for an output variable, or `range`, `mean` or `sd` for all outputs;
+    /// - `sigma`: the known standard deviation of the noise of an output variable, as a number or a column.
+    ///   It replaces the weight, see [`Weight::Sigma`];
     /// - `inputs`: the column of a variable, or its constant value;
     /// - `initial_states`: a number, `measured`, or the record of a parameter;
     /// - `start_values`: a value for each variable, or the path of an SSP parameter file;
@@ -85,13 +90,24 @@ impl Experiment {
             .into_iter()
             .map(|(input, value)| Ok((source(&value, &input)?, input)));
         let inputs = inputs.collect::<Result<Vec<(Source, String)>, RecordError>>()?;
-        let weights = weights(&record.weights, &outputs)?;
+        let mut weights = weights(&record.weights, &outputs)?;
+        for (variable, value) in pairs(&record.sigma, "sigma")? {
+            let sigma = match &value {
+                Value::Text(column) => Sigma::Column(column.clone()),
+                number => Sigma::Constant(number.read(&variable)?),
+            };
+            for own in of_output(&mut weights, &outputs, &variable, "sigma")? {
+                if !matches!(own, Weight::Constant(1.0)) {
+                    let message =
+                        format!("output '{variable}' has a weight and a sigma. Specify one of them");
+                    return Err(RecordError::message(message).into());
+                }
+                *own = sigma.clone().into();
+            }
+        }
 
         let measured: Vec<&str> = outputs.iter().map(|(_, column)| column.as_str()).collect();
-        let weighing = weights.iter().filter_map(|weight| match weight {
-            Weight::Column(column) => Some(column.clone()),
-            _ => None,
-        });
+        let weighing = weights.iter().filter_map(|weight| weight.column().map(str::to_owned));
         let driving = inputs.iter().filter_map(|(source, _)| match source {
             Source::Column(column) => Some(column.clone()),
             Source::Constant(_) => None,
@@ -175,15 +191,27 @@ fn weights(given: &Value, outputs: &[(String, String)]) -> Result<Vec<Weight>, C
             Value::Text(column) => Weight::Column(column.clone()),
             number => Weight::Constant(number.read(&variable)?),
         };
-        let mut own =
-            weights.iter_mut().zip(outputs).filter(|(_, (output, _))| *output == variable).peekable();
-        if own.peek().is_none() {
-            let known: Vec<&String> = outputs.iter().map(|(variable, _)| variable).collect();
-            return Err(RecordError::unknown("output for the weight", &variable, &known).into());
+        for own in of_output(&mut weights, outputs, &variable, "weight")? {
+            *own = weight.clone();
         }
-        own.for_each(|(own, _)| *own = weight.clone());
     }
     Ok(weights)
+}
+
+/// Returns the weights of an output variable.
+fn of_output<'w>(
+    weights: &'w mut [Weight],
+    outputs: &[(String, String)],
+    variable: &str,
+    field: &str,
+) -> Result<Vec<&'w mut Weight>, RecordError> {
+    let own = weights.iter_mut().zip(outputs).filter(|(_, (output, _))| output == variable);
+    let own: Vec<&mut Weight> = own.map(|(own, _)| own).collect();
+    if own.is_empty() {
+        let known: Vec<&String> = outputs.iter().map(|(variable, _)| variable).collect();
+        return Err(RecordError::unknown(&format!("output for the {field}"), variable, &known));
+    }
+    Ok(own)
 }
 
 fn initial_state(value: &Value, state: &str) -> Result<InitialState, CalibrationError> {

@@ -2,7 +2,7 @@
 
 use crate::data::Series;
 use crate::error::CalibrationError;
-use crate::problem::experiment::{Experiment, Measured, Weight};
+use crate::problem::experiment::{Experiment, Measured, Sigma, Weight};
 use base::Number;
 
 /// Maximum number of sampling intervals between the start of the model and the start of a recording, if no
@@ -159,6 +159,46 @@ pub(crate) fn is_mask(weights: &[f64]) -> bool {
     weights.iter().all(|weight| *weight == 0.0 || *weight == 1.0)
 }
 
+/// Returns the inverse of the standard deviation of each row.
+fn inverse_of_sigma(
+    experiment: &Experiment,
+    variable: &str,
+    sigma: &Sigma,
+) -> Result<Series, CalibrationError> {
+    let (data, n) = (&experiment.data, experiment.data.time().len());
+    let sigmas = match sigma {
+        Sigma::Constant(sigma) if !(sigma.is_finite() && *sigma > 0.0) => {
+            let sigma = Number(*sigma);
+            return setup(format!("sigma {sigma} of output '{variable}' must be positive and finite"));
+        }
+        Sigma::Constant(sigma) => return Ok(vec![1.0 / sigma; n].into()),
+        Sigma::Column(column) if data.resampled.is_some() => {
+            return setup(format!(
+                "the sigma of output '{variable}' in column '{column}' was averaged by an earlier resampling. Resample the \
+                 original recording with this column"
+            ));
+        }
+        Sigma::Column(column) => data.series(column)?,
+        Sigma::Rows(sigmas) if sigmas.len() != n => {
+            let when = if experiment.resample.is_some() { " before resample takes means" } else { "" };
+            return setup(format!(
+                "output '{variable}' has {} values of sigma for {n} rows of {}{when}. Specify a number, or one value per row",
+                sigmas.len(),
+                data.source()
+            ));
+        }
+        Sigma::Rows(sigmas) => sigmas,
+    };
+    match sigmas.iter().position(|sigma| sigma.is_nan() || *sigma <= 0.0) {
+        Some(row) => setup(format!(
+            "sigma {} of output '{variable}' at time {} must be positive. An infinite sigma excludes a measurement",
+            Number(sigmas[row]),
+            Number(data.time()[row])
+        )),
+        None => Ok(sigmas.iter().map(|sigma| 1.0 / sigma).collect()),
+    }
+}
+
 /// Returns the weights of an output, one per row.
 pub(crate) fn weights_of_rows(
     experiment: &Experiment,
@@ -176,6 +216,7 @@ pub(crate) fn weights_of_rows(
             ));
         }
         Weight::Constant(weight) => return Ok(vec![*weight; n].into()),
+        Weight::Sigma(sigma) => return inverse_of_sigma(experiment, variable, sigma),
         Weight::Inverse(scale) => {
             let weight = 1.0 / scale.of(data.measured(column, 0..n)?);
             if weight.is_finite() && weight > 0.0 {

@@ -309,6 +309,7 @@ mod tests {
                 weights: vec![weight; range.len()].into(),
                 range,
                 starts_simulation: false,
+                is_noise_known: false,
             };
         let outputs = vec![output(0, "x", 0..2, 1.0), output(0, "y", 2..5, 2.0), output(1, "x", 5..7, 1.0)];
         ResidualLayout { outputs, ..ResidualLayout::default() }

@@ -37,6 +37,9 @@ pub struct OutputResiduals {
     /// values.
     #[serde(default)]
     pub starts_simulation: bool,
+    /// True if the noise is [known](crate::Weight::Sigma): a weighted residual has the standard deviation 1.
+    #[serde(default)]
+    pub is_noise_known: bool,
 }
 
 impl OutputResiduals {

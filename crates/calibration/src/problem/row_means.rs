@@ -3,7 +3,7 @@
 use crate::data::{Means, Series};
 use crate::error::CalibrationError;
 use crate::problem::column_units::declared;
-use crate::problem::experiment::{Experiment, Measured, Weight};
+use crate::problem::experiment::{Experiment, Measured, Sigma, Weight};
 use crate::problem::measurements::{is_mask, weights_of_rows};
 use fmi::ModelDescription;
 use fmi::description::VariableKind;
@@ -58,6 +58,10 @@ pub(crate) fn take_means(
     })?;
     for (output, column) in experiment.outputs.iter_mut().zip(of_output) {
         if let Some(column) = column {
+            if output.weight.is_known_noise() {
+                output.weight = Sigma::of_weights(&weights[column]).into();
+                continue;
+            }
             let is_mask = weighted[column].as_ref().is_some_and(|weights| is_mask(weights));
             let counted = |weight: &f64| if is_mask { f64::from(u8::from(*weight > 0.0)) } else { *weight };
             output.weight = Weight::Rows(weights[column].iter().map(counted).collect());

@@ -163,7 +163,7 @@ impl fmt::Display for SetupWarning {
 pub(crate) fn unused_columns(description: &ModelDescription, experiment: &Experiment) -> Vec<SetupWarning> {
     let Experiment { data, outputs, inputs, start_values, .. } = experiment;
     let is_used = |column: &str| {
-        let weighs = |weight: &Weight| matches!(weight, Weight::Column(used) if used == column);
+        let weighs = |weight: &Weight| weight.column() == Some(column);
         let drives = |source: &InputSource| matches!(source, InputSource::Column(used) if used == column);
         outputs.iter().any(|o| o.column == column || weighs(&o.weight))
             || inputs.iter().any(|(_, source)| drives(source))

@@ -1,7 +1,7 @@
 //! Description of what was fitted and how: parts of experiments, and options that differ from the defaults.
 
 use crate::fit::one_stage::FitOptions;
-use crate::problem::experiment::{Experiment, InitialState, Measured, Weight};
+use crate::problem::experiment::{Experiment, InitialState, Measured, Sigma, Weight};
 use crate::problem::input::InputSource;
 use crate::problem::settings::SimulationSettings;
 use base::Number;
@@ -102,6 +102,9 @@ fn output(Measured { variable, column, weight }: &Measured) -> String {
         Weight::Column(column) => format!(", weights of column {column}"),
         Weight::Rows(_) => ", a weight for each row".to_owned(),
         Weight::Inverse(scale) => format!(", weight 1 / {} of what was measured", scale.name()),
+        Weight::Sigma(Sigma::Constant(sigma)) => format!(", known sigma {}", Number(*sigma)),
+        Weight::Sigma(Sigma::Column(column)) => format!(", known sigma in column {column}"),
+        Weight::Sigma(Sigma::Rows(_)) => ", a known sigma for each row".to_owned(),
     };
     format!("{variable} measured by column {column}{weight}")
 }

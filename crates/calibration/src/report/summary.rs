@@ -6,7 +6,7 @@ use crate::findings::shown_text::digits;
 use crate::fit::one_stage::Fit;
 use crate::fit::phase::PhaseCost;
 use crate::problem::objective::CostKind;
-use crate::uncertainty::result::Uncertainty;
+use crate::uncertainty::result::{KNOWN_NOISE, Uncertainty};
 use crate::uncertainty::stuck_parameters::BoundSide;
 use base::Number;
 use dfo::Termination;
@@ -351,6 +351,9 @@ fn facts(fit: &Fit) -> Vec<Fact> {
 /// Returns the description of the estimate of the standard errors.
 fn errors(fit: &Fit) -> String {
     let Some(uncertainty) = &fit.uncertainty else { return "none were estimated".to_owned() };
+    if uncertainty.is_noise_known() {
+        return format!("{KNOWN_NOISE}; {} simulations", uncertainty.n_simulations);
+    }
     let corrected = uncertainty
         .uncorrected_covariance
         .as_ref()

@@ -40,6 +40,8 @@ pub(crate) struct KnownPoint<'a> {
     pub(crate) f_tol: f64,
     /// Form of the cost as a function of the residuals.
     pub(crate) criterion: Criterion,
+    /// True if the noise of all outputs is known, see [`UncertaintyOptions::is_noise_known`].
+    pub(crate) is_noise_known: bool,
 }
 
 /// The residuals at a point.
@@ -197,7 +199,8 @@ impl Calibration {
             )));
         }
         let (held, criterion) = (options.held.clone(), options.criterion());
-        let known = KnownPoint { f_tol: 1e-4, held, criterion, ..KnownPoint::default() };
+        let is_noise_known = options.is_noise_known;
+        let known = KnownPoint { f_tol: 1e-4, held, criterion, is_noise_known, ..KnownPoint::default() };
         self.uncertainty_of(x, options.estimator, &known, &mut simulations)
     }
 
@@ -243,7 +246,7 @@ impl Calibration {
         let jacobian = differences.jacobian(context)?;
         let (differences_noise, roughness) = (differences.noise, differences.roughness);
         let starts = self.measured_starts(x);
-        let groups = groups(layout, residuals, estimator, known.criterion);
+        let groups = groups(layout, residuals, estimator, known.criterion, known.is_noise_known);
         let working = Working::new(known.criterion, residuals, &groups, free.len());
         let differences = differences.weighted(&working.roots);
         let factors = &Factors::new(&differences, context)?;

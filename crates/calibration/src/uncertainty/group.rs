@@ -11,6 +11,8 @@ pub(crate) struct Group {
     pub(crate) series: Vec<Range<usize>>,
     /// Rows that simulations start from. Their residuals are zero for any noise.
     pub(crate) starts: Vec<usize>,
+    /// True if the standard deviation of the residuals is known to be 1.
+    pub(crate) is_known: bool,
 }
 
 impl Group {

@@ -49,6 +49,9 @@ impl fmt::Display for Estimator {
     }
 }
 
+/// Description of standard errors for known noise.
+pub(crate) const KNOWN_NOISE: &str = "absolute, from the known noise (sigma)";
+
 /// Options of [`Calibration::uncertainty`](crate::Calibration::uncertainty).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
@@ -69,6 +72,11 @@ pub struct UncertaintyOptions {
     /// True if the cost is the [likelihood](crate::NamedCost::Likelihood), whose information weights each
     /// output by the inverse of its variance. In a fit, it follows from the cost of the fit.
     pub is_likelihood: bool,
+    /// True if all weights are 1 over the known standard deviation of the noise, so that the covariance is
+    /// `(J'J)^-1`. In a fit, it follows from [`NoiseRule::Stated`](crate::NoiseRule::Stated). Outputs with
+    /// [`Weight::Sigma`](crate::Weight::Sigma) always have known noise. A robust loss and the likelihood
+    /// estimate the noise in all cases.
+    pub is_noise_known: bool,
 }
 
 impl UncertaintyOptions {
@@ -134,7 +142,7 @@ pub struct Uncertainty {
     /// the projection onto the changes due to the parameters, over the residuals of the measurements. Without
     /// priors, it is the number of parameters that are not held. A parameter whose prior is as precise as the
     /// measurements counts one half. Measurements of weight zero and measurements that a simulation starts
-    /// from are not counted.
+    /// from are not counted. Infinite if the noise of all outputs is known.
     pub degrees_of_freedom: f64,
     /// Indices of parameters treated as known: fixed, held, at a bound, or not continuous.
     pub held: Vec<usize>,
@@ -256,6 +264,11 @@ impl Uncertainty {
             .map(|covariance| errors_and_correlation(covariance, self.x.len()).0)
     }
 
+    /// True if the noise of all outputs is known, so that the standard errors do not depend on the residuals.
+    pub fn is_noise_known(&self) -> bool {
+        self.degrees_of_freedom.is_infinite()
+    }
+
     /// Returns the standard errors in the coordinates of the search.
     pub(crate) fn errors_of_search(&self) -> impl Iterator<Item = f64> + '_ {
         let own = self.standard_errors.iter().zip(&self.x).zip(&self.is_log);
@@ -312,8 +325,13 @@ impl fmt::Display for Uncertainty {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let uncorrected = self.uncorrected_errors();
         let corrected = if uncorrected.is_some() { ", corrected for autocorrelated residuals" } else { "" };
-        let (estimator, degrees) = (self.estimator, digits(self.degrees_of_freedom));
-        writeln!(f, "standard errors: {estimator}{corrected}, {degrees} degrees of freedom")?;
+        match self.is_noise_known() {
+            true => writeln!(f, "standard errors: {KNOWN_NOISE}")?,
+            false => {
+                let (estimator, degrees) = (self.estimator, digits(self.degrees_of_freedom));
+                writeln!(f, "standard errors: {estimator}{corrected}, {degrees} degrees of freedom")?;
+            }
+        }
         let names: Vec<_> = self.names.iter().map(|name| visible_line(name)).collect();
         let width = names.iter().map(|name| name.len()).max().unwrap_or(0);
         for (i, name) in names.iter().enumerate() {

@@ -3,9 +3,9 @@
 
 use calibration::RunContext;
 use calibration::{
-    BandOptions, Calibration, CalibrationBuilder, CostKind, Data, EstimatedNoise, Experiment, Fit, FitNoise,
-    FitOptions, NamedCost, NoiseRule, Parameter, Prior, ProfileOptions, SavedFit, Severity, Stage,
-    ValidationSet, Weight,
+    BandOptions, Calibration, CalibrationBuilder, CostKind, Data, EstimatedNoise, Experiment, FindingId, Fit,
+    FitNoise, FitOptions, NamedCost, NoiseRule, Parameter, Prior, ProfileOptions, SavedFit, Severity, Sigma,
+    Stage, ValidationSet, Weight,
 };
 use dfo::{
     AnyMethod, Checkpoint, LeastSquares, Limits, Loss, NelderMead, Resume, RobustLoss, RunOptions, Search,
@@ -175,7 +175,88 @@ fn noise_is_estimated_per_output_and_stated_noise_is_kept() {
     // If weights of one are taken as declared noise of 1 instead of 0.02, the prior determines h.
     let options = FitOptions { noise: NoiseRule::Stated, ..run(LeastSquares::default()).into() };
     let fit = throw(1, [one(), one()]).build().unwrap().fit(options).unwrap();
-    assert!(fit.noise == Some(FitNoise::Stated) && (fit.x[0] - 1.45).abs() < 1e-3, "{fit}");
+    assert!(fit.noise == Some(FitNoise::Known) && (fit.x[0] - 1.45).abs() < 1e-3, "{fit}");
+}
+
+/// Recording of the start of a decay, which is a linear parameter: its standard error is `sigma / |basis|` for
+/// known noise, and the same times `|r| / sqrt(N - 1) / sigma` for estimated noise.
+fn linear_decay(noise: f64, weight: impl Into<Weight>) -> (Calibration, f64) {
+    let mut normal = normal(5);
+    let basis: Vec<f64> = times().iter().map(|t| (-t).exp()).collect();
+    let y = basis.iter().map(|b| 1.1 * b + noise * normal()).collect();
+    let data = Data::from_columns(times(), [("x".to_owned(), y)]).unwrap();
+    let experiment = Experiment::new(data).weighted_output("x", "x", weight).start_value("k", 1.0);
+    let x = Parameter::new("x", 0.5).bounds(0.1, 10.0);
+    let calibration = Calibration::builder(open("dahlquist")).experiment(experiment).parameter(x).build();
+    (calibration.unwrap(), basis.iter().map(|b| b * b).sum::<f64>().sqrt())
+}
+
+#[test]
+fn known_noise_gives_absolute_errors_intervals_profiles_and_bands() {
+    let sigma = 0.05;
+    let (by_weight, length) = linear_decay(sigma, 1.0 / sigma);
+    let relative = by_weight.fit(run(LeastSquares::default())).unwrap();
+    assert!(relative.noise.is_none());
+    for (fit, calibration) in [
+        (linear_decay(sigma, Sigma::Constant(sigma)).0, true),
+        (linear_decay(sigma, Sigma::Rows(vec![sigma; 51].into())).0, true),
+        (by_weight, false),
+    ]
+    .map(|(calibration, is_sigma)| {
+        let noise = if is_sigma { NoiseRule::Auto } else { NoiseRule::Stated };
+        let options = FitOptions { noise, ..run(LeastSquares::default()).into() };
+        (calibration.fit(options).unwrap(), calibration)
+    }) {
+        let uncertainty = fit.uncertainty.as_ref().unwrap();
+        assert!(fit.noise == Some(FitNoise::Known) && uncertainty.is_noise_known(), "{fit}");
+        let error = uncertainty.standard_errors[0];
+        assert!((error * length / sigma - 1.0).abs() < 1e-4, "{error}");
+        // The residuals scale the errors of the fit with weights.
+        let scaled = relative.uncertainty.as_ref().unwrap().standard_errors[0];
+        let reduced = (relative.cost / 50.0).sqrt();
+        assert!((scaled / error / reduced - 1.0).abs() < 1e-4 && (reduced - 1.0).abs() > 1e-3, "{scaled}");
+        let (low, high) = uncertainty.confidence_intervals(0.95).unwrap()[0];
+        assert!(((high - low) / (2.0 * 1.959_963_985 * error) - 1.0).abs() < 1e-6, "{low} {high}");
+        let profile = calibration.profile(&fit, &ProfileOptions::default(), &RunContext::new()).unwrap();
+        let interval = profile.parameters[0].interval();
+        assert!((interval.0 - low).abs() < 1e-3 * error && (interval.1 - high).abs() < 1e-3 * error);
+        let bands = calibration.prediction_bands(&fit, &BandOptions::default(), &RunContext::new()).unwrap();
+        let noise = bands[0].noise.clone();
+        assert!(noise.iter().all(|sd| (sd / sigma - 1.0).abs() < 1e-9), "{noise:?}");
+        assert!(fit.to_string().contains("known (sigma)"), "{fit}");
+    }
+}
+
+#[test]
+fn residuals_that_contradict_known_noise_are_reported_by_chi_square() {
+    let found = |sigma: f64| {
+        let fit = linear_decay(0.05, Sigma::Constant(sigma)).0.fit(run(LeastSquares::default())).unwrap();
+        let finding = fit.findings().into_iter().find(|f| f.id == FindingId::ContradictedNoise);
+        finding.map(|finding| (finding.severity, finding.to_string()))
+    };
+    assert_eq!(found(0.05), None);
+    let (severity, text) = found(0.02).unwrap();
+    assert!(severity == Severity::Warning && text.contains("times the known noise"), "{text}");
+    let (severity, text) = found(0.075).unwrap();
+    assert!(severity == Severity::Note && text.contains("Sigma is too large"), "{text}");
+}
+
+#[test]
+fn sigma_must_be_positive_and_cannot_be_combined_with_the_likelihood() {
+    for sigma in [Sigma::Constant(0.0), Sigma::Constant(-1.0), Sigma::Rows(vec![0.0; 51].into())] {
+        let output = Experiment::new(decay(1, 0.1)).weighted_output("x", "x", sigma);
+        let k = Parameter::new("k", 1.0);
+        let built = Calibration::builder(open("dahlquist")).experiment(output).parameter(k).build();
+        assert!(built.unwrap_err().to_string().contains("must be positive"));
+    }
+    let calibration = linear_decay(0.05, Sigma::Constant(0.05)).0;
+    let objective = CostKind::Named(NamedCost::Likelihood);
+    let likelihood = FitOptions { objective, ..run(NelderMead::default()).into() };
+    let estimated = FitOptions { noise: NoiseRule::Estimated, ..run(LeastSquares::default()).into() };
+    for options in [likelihood, estimated] {
+        let error = calibration.fit(options).unwrap_err().to_string();
+        assert!(error.contains("sigma"), "{error}");
+    }
 }
 
 #[test]

@@ -9,7 +9,7 @@ use crate::model::inputs::{Callback, Callbacks};
 use calibration::RunContext;
 use calibration::{
     CalibrationError, CsvRequest, Data, Experiment, InitialState, OutputScale, Parameter, ParameterSet,
-    Series, Weight,
+    Series, Sigma, Weight,
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -80,6 +80,20 @@ enum WeightFields {
     /// Name of a scale; the weight is its inverse.
     #[pyo3(transparent)]
     Inverse((String,)),
+    /// The word "sigma" and a known standard deviation.
+    #[pyo3(transparent)]
+    Known((String, SigmaFields)),
+    #[pyo3(transparent)]
+    Rows(Numbers),
+}
+
+/// Known standard deviation of the noise of an output.
+#[derive(FromPyObject)]
+enum SigmaFields {
+    #[pyo3(transparent)]
+    Constant(f64),
+    #[pyo3(transparent)]
+    Column(String),
     #[pyo3(transparent)]
     Rows(Numbers),
 }
@@ -177,7 +191,9 @@ impl ExperimentFields {
     fn columns(&self) -> Vec<String> {
         let measured = self.outputs.iter().map(|(_, column, _)| column);
         let weights = self.outputs.iter().filter_map(|(_, _, weight)| match weight {
-            WeightFields::Column(column) => Some(column),
+            WeightFields::Column(column) | WeightFields::Known((_, SigmaFields::Column(column))) => {
+                Some(column)
+            }
             _ => None,
         });
         let driving = self.inputs.iter().filter_map(|(_, source)| match source {
@@ -221,6 +237,9 @@ impl ExperimentFields {
                 WeightFields::Constant(weight) => Weight::Constant(weight),
                 WeightFields::Column(column) => Weight::Column(column),
                 WeightFields::Inverse((name,)) => Weight::Inverse(OutputScale::named(&name)?),
+                WeightFields::Known((_, SigmaFields::Constant(sigma))) => Sigma::Constant(sigma).into(),
+                WeightFields::Known((_, SigmaFields::Column(column))) => Sigma::Column(column).into(),
+                WeightFields::Known((_, SigmaFields::Rows(Numbers(sigmas)))) => Sigma::Rows(sigmas).into(),
                 WeightFields::Rows(Numbers(weights)) => Weight::Rows(weights),
             };
             experiment = experiment.weighted_output(variable, column, weight);

@@ -51,7 +51,7 @@ impl Calibration {
         let outputs =
             ends.end.as_ref().map_or_else(Vec::new, |end| own.output_fits(end, ends.start.as_ref()));
         job.enter(FitPhase::Uncertainty, &stats);
-        let uncertainty = own.uncertainty_of_fit(job, &made.searched, &ends, &mut budget, &mut stats);
+        let uncertainty = own.uncertainty_of_fit(job, &made, &ends, &mut budget, &mut stats);
         // The search ended normally, but the steps after it did not.
         if context.is_cancelled() && report.termination != Termination::Interrupted {
             let remedy = "Resume from the checkpoint, or fit again";
@@ -187,14 +187,23 @@ impl Calibration {
         let has_priors = made.noise == Some(FitNoise::Stated);
         let is_compared = job.objective.is_sum_of_squares()
             && job.loss.is_linear()
-            && made.noise.is_none()
             && job.is_whole
             && made.searched.report.termination.cause() == Cause::Search
             && !self.is_within_tolerance(sum_of_squares(residuals));
-        match has_priors || is_compared {
+        let mut found = match has_priors || (is_compared && made.noise.is_none()) {
             true => noise::contradictions_of_stated(self, residuals, has_priors),
             false => Vec::new(),
+        };
+        if is_compared {
+            let is_known = made.noise == Some(FitNoise::Known);
+            let is_free = |(i, p): (usize, &Parameter)| {
+                let is_at_bound = made.searched.stuck.at_bound.iter().any(|(k, _)| *k == i);
+                !(p.is_fixed() || p.lower() == p.upper() || job.held.contains(&i) || is_at_bound)
+            };
+            let n_free = self.parameters().iter().enumerate().filter(|(i, p)| is_free((*i, p))).count();
+            found.extend(noise::contradiction_of_known(self.residual_layout(), residuals, n_free, is_known));
         }
+        found
     }
 
     /// Returns the findings of a fit without uncertainty: the reason if it was requested, and findings that
@@ -261,7 +270,7 @@ impl Calibration {
     fn uncertainty_of_fit(
         &self,
         job: &Job<'_>,
-        searched: &SearchResult,
+        FinalSearch { searched, noise, .. }: &FinalSearch,
         ends: &EndResiduals,
         budget: &mut Budget,
         stats: &mut Stats,
@@ -294,6 +303,7 @@ impl Calibration {
                 ToleranceMeasure::Absolute => tolerances.f_tol / report.fun.abs(),
             },
             criterion,
+            is_noise_known: options.is_noise_known || *noise == Some(FitNoise::Known),
         };
         // For several stages, the assessment after the last stage includes the accuracy.
         if job.is_part {

@@ -16,6 +16,7 @@ use crate::uncertainty::row_blocks::{ThinSvd, thin_svd};
 use base::RunContext;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
 use std::fmt;
 
 /// Source of the noise of the measurements, see [`FitOptions::noise`](crate::FitOptions::noise).
@@ -29,7 +30,8 @@ pub enum NoiseRule {
     /// In all other cases, acts as [`Stated`](Self::Stated).
     #[default]
     Auto,
-    /// Weights are 1 over the standard deviation of the noise, including weights of 1.
+    /// Weights are 1 over the known standard deviation of the noise, including weights of 1. Standard errors
+    /// are absolute for the sum of squares without a robust loss.
     Stated,
     /// Estimates the noise of all outputs. Weights are relative: the standard deviation of a measurement is
     /// the standard deviation of its output divided by its weight. The fit minimises the sum of squares
@@ -43,7 +45,11 @@ pub enum NoiseRule {
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum FitNoise {
-    /// Weights state the noise: each is 1 over the standard deviation.
+    /// The noise of all outputs is known, from [`Weight::Sigma`] or [`NoiseRule::Stated`]. Standard errors,
+    /// intervals, profiles and bands are absolute.
+    Known,
+    /// Weights state the noise relative to the priors: each is 1 over the standard deviation. Standard errors
+    /// use the size of the residuals.
     Stated,
     /// The noise was estimated. The weights of the fit are then divided by the estimates. They apply to its
     /// cost, residuals, derivatives and covariance.
@@ -54,7 +60,7 @@ impl FitNoise {
     /// Returns the estimates, if there are any.
     pub fn estimated(&self) -> Option<&EstimatedNoise> {
         match self {
-            Self::Stated => None,
+            Self::Known | Self::Stated => None,
             Self::Estimated(estimated) => Some(estimated),
         }
     }
@@ -64,7 +70,10 @@ impl FitNoise {
 impl fmt::Display for FitNoise {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self::Estimated(EstimatedNoise { outputs, n_rounds, .. }) = self else {
-            return f.write_str("stated by the weights (1 over its standard deviation)");
+            return f.write_str(match self {
+                Self::Known => "known (sigma)",
+                _ => "stated by the weights (1 over its standard deviation)",
+            });
         };
         let rounds = if *n_rounds == 1 { "round" } else { "rounds" };
         write!(f, "estimated with the parameters in {n_rounds} {rounds}, standard deviation ")?;
@@ -196,14 +205,19 @@ impl EstimatedNoise {
 
     /// True if the estimate applies to an output.
     fn is_of(&self, problem: &Problem, output: &OutputResiduals) -> bool {
-        self.is_of_all || !weight(problem, output).states_noise()
+        self.sd_applies(weight(problem, output))
+    }
+
+    /// True if the estimate applies to an output with this weight. Known noise is never estimated.
+    fn sd_applies(&self, weight: &Weight) -> bool {
+        !weight.is_known_noise() && (self.is_of_all || !weight.states_noise())
     }
 
     /// Returns the standard deviation that divides the weights of a variable. Returns `None` if the weights
     /// state the noise.
     fn sd(&self, variable: &str, weight: &Weight) -> Option<f64> {
         let known = self.outputs.iter().find(|known| known.variable == variable);
-        known.filter(|_| self.is_of_all || !weight.states_noise()).map(|known| known.sd)
+        known.filter(|_| self.sd_applies(weight)).map(|known| known.sd)
     }
 
     /// Returns the estimated standard deviation of the residuals of an output, with the weights of the
@@ -227,6 +241,8 @@ impl EstimatedNoise {
                     Weight::Inverse(_) => Weight::Constant(1.0 / sd),
                     Weight::Column(column) => divided(experiment.data.series(column)?),
                     Weight::Rows(weights) => divided(weights),
+                    // Known noise is never estimated.
+                    Weight::Sigma(_) => continue,
                 };
             }
         }
@@ -288,6 +304,9 @@ pub(super) fn contradictions_of_stated(
     let (problem, layout) = (calibration.problem(), calibration.residual_layout());
     let (factor, fewest) = CONTRADICTS_STATED;
     let of = |output: &OutputResiduals| {
+        if output.is_noise_known {
+            return None;
+        }
         // Weights of 0 and 1 only select measurements.
         let is_stated = weight(problem, output).states_noise()
             && (has_priors || output.weights.iter().any(|w| *w != 0.0 && *w != 1.0));
@@ -325,6 +344,62 @@ pub(super) fn contradictions_of_stated(
         Some(Finding::new(severity, FindingId::ContradictedNoise, subject, sentence, remedy))
     };
     layout.outputs.iter().filter_map(of).collect()
+}
+
+/// Probability below which residuals contradict known noise: one in a hundred fits by chance.
+const SIGNIFICANT: f64 = 0.01;
+
+/// Returns the finding about residuals that contradict known noise, by the chi-square test of their sum of
+/// squares. `n_free` is the number of fitted parameters, and `is_known` is true if the noise of all outputs
+/// is known. Priors take up to `n_free` degrees of freedom less than the parameters, so the test with priors
+/// uses the limit that favours the known noise.
+pub(super) fn contradiction_of_known(
+    layout: &ResidualLayout,
+    residuals: &[f64],
+    n_free: usize,
+    is_known: bool,
+) -> Option<Finding> {
+    let rows = |output: &OutputResiduals| output.noisy_rows().collect::<Vec<usize>>();
+    let outputs = || layout.outputs.iter().filter(|output| is_known || output.is_noise_known);
+    let known: Vec<usize> = outputs().flat_map(rows).collect();
+    let n_all = layout.outputs.iter().flat_map(rows).count();
+    let n = known.len() as f64;
+    // Each output loses degrees of freedom in proportion to its measurements.
+    let least = n - n_free as f64 * n / n_all as f64;
+    let most = if layout.priors.is_empty() { least } else { n };
+    if known.is_empty() || least <= 0.0 {
+        return None;
+    }
+    let chi_square: f64 = known.iter().map(|i| residuals[*i] * residuals[*i]).sum();
+    let is_larger = chi_square > most;
+    let degrees = if is_larger { most } else { least };
+    let of = ChiSquared::new(degrees).ok()?;
+    // Both tails count.
+    let p = 2.0 * if is_larger { of.sf(chi_square) } else { of.cdf(chi_square) };
+    if p >= SIGNIFICANT {
+        return None;
+    }
+    let reduced = chi_square / degrees;
+    let (factor, _) = CONTRADICTS_STATED;
+    let is_far = !(1.0 / factor..=factor).contains(&reduced.sqrt());
+    let (meaning, remedy) = match is_larger {
+        true => (
+            "The model lacks an effect, or sigma is too small, so the standard errors are too small",
+            "Check the model and sigma, or use weights instead of sigma, so that standard errors use the residuals",
+        ),
+        false => (
+            "Sigma is too large, so the standard errors are too large",
+            "Check that sigma is the standard deviation in the unit of the column, or use weights instead of sigma",
+        ),
+    };
+    let sentence = format!(
+        "the residuals are {} times the known noise (reduced chi-square {}, p = {}). {meaning}",
+        digits(reduced.sqrt()),
+        digits(reduced),
+        digits(p),
+    );
+    let severity = if is_far { Severity::Warning } else { Severity::Note };
+    Some(Finding::new(severity, FindingId::ContradictedNoise, "noise", sentence, remedy))
 }
 
 /// Returns the leverage of each residual: the diagonal of the projection onto the column space of the m x n

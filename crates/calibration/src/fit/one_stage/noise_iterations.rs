@@ -238,14 +238,24 @@ impl Calibration {
             Some(first) => this.take_turns(first, job, stats)?,
             None => {
                 let searched = this.search(job, stats)?;
-                let is_weighed = job.objective.is_sum_of_squares() && this.has_priors();
-                FinalSearch { noise: is_weighed.then_some(FitNoise::Stated), ..FinalSearch::of(searched) }
+                FinalSearch { noise: this.known_or_stated(job), ..FinalSearch::of(searched) }
             }
         };
         made.tolerance = tolerance;
         made.own = made.own.or(tolerant);
         made.searched.raised.splice(0..0, tolerance.and_then(|chosen| chosen.finding()));
         Ok(made)
+    }
+
+    /// Returns the source of noise that is not estimated. Returns `None` if nothing depends on it.
+    fn known_or_stated(&self, job: &Job<'_>) -> Option<FitNoise> {
+        let is_known = job.noise == NoiseRule::Stated
+            || self.residual_layout().outputs.iter().all(|output| output.is_noise_known);
+        match job.objective.is_sum_of_squares() {
+            true if is_known && job.loss.is_linear() => Some(FitNoise::Known),
+            true if self.has_priors() => Some(FitNoise::Stated),
+            _ => None,
+        }
     }
 
     pub(super) fn has_priors(&self) -> bool {

@@ -247,6 +247,15 @@ impl<'a> Job<'a> {
                     .to_owned(),
             ));
         }
+        let known = calibration.residual_layout().outputs.iter().find(|output| output.is_noise_known);
+        if let Some(known) = known
+            && (options.noise == NoiseRule::Estimated || options.objective.is_likelihood())
+        {
+            return Err(CalibrationError::Setup(format!(
+                "the noise of '{}' is known (sigma), but the fit was asked to estimate it. Use the sum of squares with noise 'auto', or omit sigma",
+                known.variable
+            )));
+        }
         run.workers.get_or_insert_with(base::available_cores);
         let start = options.start.unwrap_or_else(|| calibration.start());
         calibration.check_start(&start)?;

@@ -8,7 +8,7 @@ mod walk;
 
 use crate::cost::parallel;
 use crate::error::CalibrationError;
-use crate::fit::one_stage::Fit;
+use crate::fit::one_stage::{Fit, FitNoise};
 use crate::loaded::calibration::Calibration;
 use crate::loaded::simulations_around::Simulations;
 use crate::problem::fingerprint::hash_of_bytes;
@@ -141,14 +141,21 @@ impl Calibration {
             f_tol: refit::F_TOL * normal / (n_residuals as f64).max(normal),
             stats: Mutex::default(),
         };
-        let statistic = format!("{held:?} {estimator:?} {} {}", fit.report.loss, options.is_corrected);
+        let noise = if fit.noise == Some(FitNoise::Known) { " known noise" } else { "" };
+        let statistic = format!("{held:?} {estimator:?} {} {}{noise}", fit.report.loss, options.is_corrected);
         let saved =
             SavedSides::open(options.checkpoint.as_deref(), self.profile_hash(fit, &statistic, options), n)?;
         let mut n_simulations = 0;
         let optimum = refits.optimum(&fit.x, &mut n_simulations, context)?;
         let mut simulations = Simulations::new(self, RobustLoss::default(), workers, context)?;
         let criterion = Criterion::Loss(fit.report.loss);
-        let known = KnownPoint { held: held.clone(), f_tol: 1e-4, criterion, ..KnownPoint::default() };
+        let known = KnownPoint {
+            held: held.clone(),
+            f_tol: 1e-4,
+            criterion,
+            is_noise_known: fit.noise == Some(FitNoise::Known),
+            ..KnownPoint::default()
+        };
         let (uncertainty, curvature) =
             self.uncertainty_and_curvature(&optimum.x, estimator, &known, &mut simulations)?;
         let uncertainty = if options.is_corrected { uncertainty } else { uncertainty.uncorrected() };
@@ -164,7 +171,8 @@ impl Calibration {
             let found = curvature[i] / uncertainty.covariance[i * n + i] * threshold / (own * own);
             // For an undetermined parameter, or one at its bound, no other scale is available.
             let is_known = found > 0.0 && found.is_finite();
-            Ok(if is_known { found } else { degrees_of_freedom / optimum.cost })
+            let of_all = if uncertainty.is_noise_known() { 1.0 } else { degrees_of_freedom / optimum.cost };
+            Ok(if is_known { found } else { of_all })
         };
         let origins = (asked.iter())
             .map(|&i| {

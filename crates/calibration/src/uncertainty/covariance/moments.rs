@@ -123,13 +123,23 @@ impl<'a> Moments<'a> {
     /// Equates the sums of squares to their expectations, with valid variances.
     fn solve(&self, of: &mut Variances) {
         let (n, n_rows) = (self.groups.len(), self.n_rows());
-        let shares = DMatrix::from_fn(n, n, |g, h| of.components[h].means[2 * g]);
-        let left = DVector::from_fn(n, |g, _| self.found[2 * g] - self.grams[2 * g].dot(&self.of_priors));
+        let is_known = |g: usize| self.groups[g].is_known;
+        let shares = DMatrix::from_fn(n, n, |g, h| match is_known(g) {
+            true => f64::from(u8::from(g == h)),
+            false => of.components[h].means[2 * g],
+        });
+        let left = DVector::from_fn(n, |g, _| match is_known(g) {
+            true => 1.0,
+            false => self.found[2 * g] - self.grams[2 * g].dot(&self.of_priors),
+        });
         let plainly = |g: usize| match self.groups[g].n_rows() {
+            _ if is_known(g) => 1.0,
             0 => 0.0,
             count => self.found[2 * g] / count as f64 * n_rows / self.degrees_of_freedom,
         };
-        let is_sound = |(g, value): (usize, &f64)| *value > LEAST * plainly(g) || self.found[2 * g] == 0.0;
+        let is_sound = |(g, value): (usize, &f64)| {
+            is_known(g) || *value > LEAST * plainly(g) || self.found[2 * g] == 0.0
+        };
         let solved = shares.lu().solve(&left);
         let sound =
             solved.filter(|all| self.degrees_of_freedom > 0.0 && all.iter().enumerate().all(is_sound));
@@ -186,7 +196,13 @@ impl<'a> Moments<'a> {
             let factor = of.values[g] / (2.0 * DIFFERENCE);
             columns.push(by(&at(1.0)?.means, factor) - by(&at(-1.0)?.means, factor));
         }
-        let of_moments = self.covariance(of, context)?.select_rows(&used).select_columns(&used);
+        let mut of_moments = self.covariance(of, context)?.select_rows(&used).select_columns(&used);
+        // A known variance has the equation "variance = 1" instead, which is exact.
+        for g in (0..n).filter(|g| self.groups[*g].is_known) {
+            columns.iter_mut().enumerate().for_each(|(a, column)| column[g] = f64::from(u8::from(a == g)));
+            of_moments.row_mut(g).fill(0.0);
+            of_moments.column_mut(g).fill(0.0);
+        }
         let exact = || {
             let inverse = DMatrix::from_columns(&columns).try_inverse()?;
             let found = &inverse * of_moments * inverse.transpose();
@@ -195,6 +211,7 @@ impl<'a> Moments<'a> {
         Ok(match exact() {
             Some(exact) if of.is_unbiased => exact,
             _ => DMatrix::from_diagonal(&DVector::from_fn(used.len(), |a, _| match self.groups.get(a) {
+                Some(group) if group.is_known => 0.0,
                 Some(group) => 2.0 * self.n_rows() / (group.n_rows() as f64 * self.degrees_of_freedom),
                 None => 0.0,
             })),

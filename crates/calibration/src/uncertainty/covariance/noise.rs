@@ -19,23 +19,29 @@ const ROUNDING: f64 = 1e-10;
 
 /// Returns the groups of the outputs. A group contains a variable of the model over all recordings with the
 /// same weight ([`Estimator::Sandwich`]), or over all recordings (the likelihood). With
-/// [`Estimator::Pooled`], or if all residuals are rounding errors, one group contains all outputs.
+/// [`Estimator::Pooled`], or if all residuals are rounding errors, one group contains all outputs. Outputs
+/// whose noise is known are a separate group, if the fit minimises the sum of squares; `is_noise_known`: all
+/// outputs.
 pub(crate) fn groups(
     layout: &ResidualLayout,
     residuals: &[f64],
     estimator: Estimator,
     criterion: Criterion,
+    is_noise_known: bool,
 ) -> Vec<Group> {
     let is_all_rounding =
         layout.outputs.iter().all(|output| is_rounding(output, &residuals[output.range.clone()]));
-    let mut groups: BTreeMap<(&str, Option<u64>), Group> = BTreeMap::new();
+    let mut groups: BTreeMap<(bool, &str, Option<u64>), Group> = BTreeMap::new();
     for (k, output) in layout.outputs.iter().enumerate() {
-        let key = match (estimator, criterion) {
+        let is_known = criterion.is_sum_of_squares() && (is_noise_known || output.is_noise_known);
+        let (variable, weight) = match (estimator, criterion) {
+            _ if is_known => ("", None),
             (_, Criterion::Likelihood) => (output.variable.as_str(), None),
             (Estimator::Sandwich, _) if !is_all_rounding => key(output),
             _ => ("", None),
         };
-        let group = groups.entry(key).or_default();
+        let group = groups.entry((is_known, variable, weight)).or_default();
+        group.is_known = is_known;
         group.outputs.push(k);
         let first = output.range.start;
         let rows: Vec<usize> = output.range.clone().filter(|i| output.weights[i - first] != 0.0).collect();
@@ -69,7 +75,7 @@ pub(crate) struct Noise {
     /// Number of rows with separate noise, minus the trace of a projection over these rows. The projection is
     /// onto the changes due to the parameters (Hastie and Tibshirani, Generalized Additive Models, 1990,
     /// section 3.5). A prior removes no degree of freedom. The measurements lose degrees of freedom only for
-    /// what they determine themselves.
+    /// what they determine themselves. Infinite if the noise of all outputs is known.
     pub(crate) degrees_of_freedom: f64,
     /// Model with independent residuals.
     pub(crate) independent: NoiseModel,
@@ -173,7 +179,11 @@ impl Noise {
         let mut transforms = vec![0.0; groups.len()];
         if moments.degrees_of_freedom > 0.0 && base.ncols() > 0 {
             for (g, group) in own_groups.iter().enumerate() {
-                if is_rounding[g] || group.n_rows() <= base.ncols() + 2 || group.n_pairs() == 0 {
+                if group.is_known
+                    || is_rounding[g]
+                    || group.n_rows() <= base.ncols() + 2
+                    || group.n_pairs() == 0
+                {
                     continue;
                 }
                 transforms[g] = alone(group, &whole_base, &residuals, context)?.unwrap_or(0.0);
@@ -181,7 +191,8 @@ impl Noise {
         }
         let is_any = transforms.iter().any(|transform| *transform > 0.0);
         let autocorrelated = is_any.then(|| model(transforms)).transpose()?;
-        let degrees_of_freedom = moments.degrees_of_freedom;
+        let is_known = !groups.is_empty() && groups.iter().all(|group| group.is_known);
+        let degrees_of_freedom = if is_known { f64::INFINITY } else { moments.degrees_of_freedom };
         let priors = base.rows_range(priors);
         let of_priors = priors.tr_mul(&priors);
         let mut variances = working.corrections.clone();
@@ -328,6 +339,7 @@ mod tests {
                 measured: vec![0.0; *n].into(),
                 weights: vec![1.0; *n].into(),
                 starts_simulation: false,
+                is_noise_known: false,
             });
         }
         layout
@@ -342,7 +354,7 @@ mod tests {
         starts: &[MeasuredStart],
     ) -> (Noise, Factors) {
         let (context, criterion) = (RunContext::new(), Criterion::default());
-        let groups = groups(layout, residuals, estimator, criterion);
+        let groups = groups(layout, residuals, estimator, criterion, false);
         let working = Working::new(criterion, residuals, &groups, jacobian.ncols());
         let n = jacobian.ncols();
         let factors = match n {
@@ -426,7 +438,7 @@ mod tests {
         let residuals = [0.1, -0.2, 0.0, 0.0, 0.3, -0.1];
         let (noise, _) = found(&layout, &residuals, &DMatrix::zeros(6, 0), Estimator::Sandwich, &[]);
         assert!(noise.degrees_of_freedom == 4.0 && (noise.variances[0] - 0.15 / 4.0).abs() < 1e-15);
-        let of = groups(&layout, &residuals, Estimator::Sandwich, Criterion::default());
+        let of = groups(&layout, &residuals, Estimator::Sandwich, Criterion::default(), false);
         assert_eq!(of[0].series, [0..2, 4..6]);
     }
 

@@ -32,7 +32,7 @@ from . import uncertainty as _uncertainty
 from . import worker as _worker
 from .display import Display
 from .evaluation import Evaluation
-from .experiment import Inputs, Names, Weights, collected, path_of
+from .experiment import Inputs, Names, Sigmas, Weights, collected, path_of
 from .fit import Fit
 from .parameter import Parameter
 from .settings import Limits, Process, Simulation, merged
@@ -106,6 +106,9 @@ class Calibration(Evaluation):
     weights : dict, or sequence, optional
         Factor of the residuals of each output; default 1. Use the inverse of the standard deviation of the noise if
         it is known. A weight per measurement, or "range", "mean" or "sd", is also possible, see `Experiment`.
+    sigma : number, column or dict, optional
+        Known standard deviation of the noise of the outputs, for example ``{"y": 0.03}``. The weights are 1/sigma, and
+        standard errors, intervals, profiles and bands do not depend on the size of the residuals, see `Experiment`.
     start_values : dict, optional
         Values of other parameters and start values of variables, by name. Fitted parameters are not allowed.
     start_time : float, optional
@@ -162,6 +165,7 @@ class Calibration(Evaluation):
         window: tuple[float, float] | None = None,
         *,
         weights: Weights | None = None,
+        sigma: Sigmas | None = None,
         start_values: Mapping[str, Any] | str | os.PathLike[str] | None = None,
         start_time: SupportsFloat | None = None,
         time: str | None = None,
@@ -185,6 +189,7 @@ class Calibration(Evaluation):
         own: dict[str, Any] = {
             "window": window,
             "weights": weights,
+            "sigma": sigma,
             "start_values": start_values,
             "start_time": start_time,
             "time": time,
@@ -350,8 +355,8 @@ class Calibration(Evaluation):
             reports it.
         noise : {"auto", "stated", "estimated"}
             Source of the noise level of the measurements, which scales them relative to the priors. The priors count
-            in units of their standard deviations. "stated": weights are 1 divided by the standard deviation of the
-            noise, including weights of 1. "estimated": the noise of all outputs is estimated with the parameters, and
+            in units of their standard deviations. "stated": weights are 1 divided by the known standard deviation of
+            the noise, including weights of 1. Standard errors are then absolute, as with `sigma`. "estimated": the noise of all outputs is estimated with the parameters, and
             weights are relative. "auto": if there are priors, the noise is estimated for outputs whose weights do not
             state it (1, or a scale). This applies to the sum of squares without a robust loss.
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, SupportsFloat
 
 import numpy as np
+import numpy.typing as npt
 
 from .. import _core
 from .._args import text as _text
@@ -22,9 +23,12 @@ Names = Mapping[str, str] | Sequence[str] | str
 #: Source of an input: a column, a number or a function of time.
 Source = str | float | Callable[[float], float]
 Inputs = Mapping[str, Source] | Sequence[str] | str
-#: Factor of residuals: a number, a column, numbers per row (the bytes of float64 values), or the name of a scale.
-Weight = float | str | bytes | tuple[str]
+#: Factor of residuals: a number, a column, numbers per row (the bytes of float64 values), the name of a scale, or
+#: "sigma" and a standard deviation.
+Weight = float | str | bytes | tuple[str] | tuple[str, Any]
 Weights = Mapping[str, Any] | Sequence[Any] | str
+#: Known standard deviation of the noise, for all outputs or for each.
+Sigmas = Mapping[str, Any] | SupportsFloat | str | npt.ArrayLike
 
 
 @dataclass(frozen=True, init=False, repr=False)
@@ -48,6 +52,11 @@ class Experiment:
         to the unit of the column and are converted with it. A weight of 1, and weights of only 0 and 1, state no
         noise and are not converted. "range", "mean" or "sd" weights each output with the inverse of the range, mean
         or standard deviation of its measurements in the whole recording.
+    sigma : number, column or dict, optional
+        Known standard deviation of the noise of each output, which replaces its weight: a number, the name of a column
+        or one value per measurement. A dict specifies it per output; otherwise it applies to all outputs. The weight is
+        1/sigma, and standard errors, intervals, profiles and bands are absolute, as with ``absolute_sigma=True`` of
+        SciPy's ``curve_fit``. Sigma is in the unit of the column. An infinite sigma excludes a measurement.
     start_values : dict or path, optional
         Values of other parameters and start values of variables in this experiment, by name. For a local parameter,
         the start of its search in this experiment. Alternatively, the path of an SSP parameter file (``.ssv``). Its
@@ -134,6 +143,7 @@ class Experiment:
         *,
         window: tuple[float, float] | None = None,
         weights: Weights | None = None,
+        sigma: Sigmas | None = None,
         start_values: Mapping[str, Any] | str | os.PathLike[str] | None = None,
         start_time: SupportsFloat | None = None,
         time: str | None = None,
@@ -152,10 +162,10 @@ class Experiment:
             pairs = pairs_of_columns("outputs", outputs)
             driven = sources(inputs)
             named = None if time is None else _values.choice("time", time)
-            weighed = weighted(pairs, weights)
+            weighed = with_sigma(weighted(pairs, weights), sigma)
             columns = [column for _, column in pairs]
             columns += [source for _, source in driven if isinstance(source, str)]
-            columns += [weight for _, _, weight in weighed if isinstance(weight, str)]
+            columns += [column for _, _, weight in weighed if (column := _column_of(weight)) is not None]
             rows, by = _data.mask(mask)
             try:
                 table = _data.read_recording(data, columns + ([] if by is None else [by]), named)
@@ -321,14 +331,39 @@ def weighted(outputs: list[tuple[str, str]], weights: Weights | None) -> list[tu
     return [(variable, column, _weight(variable, weight)) for (variable, column), weight in zip(outputs, listed)]
 
 
-def _weight(variable: str, weight: Any) -> Weight:
+def with_sigma(
+    weighed: list[tuple[str, str, Weight]], sigma: Sigmas | None
+) -> list[tuple[str, str, Weight]]:
+    """Replaces the weights of outputs whose noise is known."""
+    if sigma is None:
+        return weighed
+    known = [variable for variable, _, _ in weighed]
+    given = dict(sigma) if isinstance(sigma, Mapping) else dict.fromkeys(known, sigma)
+    for name in given:
+        if name not in known:
+            raise BadCalibrationError(f"sigma: unknown output '{name}'; expected one of: {', '.join(known)}")
+    for variable, _, weight in weighed:
+        if variable in given and weight != 1.0:
+            raise BadCalibrationError(f"output '{variable}' has a weight and a sigma. Specify one of them")
+    return [
+        (v, c, ("sigma", _weight(v, given[v], "sigma")) if v in given else weight) for v, c, weight in weighed
+    ]
+
+
+def _column_of(weight: Weight) -> str | None:
+    """Returns the column of a weight or of a standard deviation, if any."""
+    value = weight[-1] if isinstance(weight, tuple) and len(weight) == 2 else weight
+    return value if isinstance(value, str) else None
+
+
+def _weight(variable: str, weight: Any, name: str = "weights") -> Weight:
     """Returns a number, the name of a column, or numbers for all rows."""
     if isinstance(weight, str):
         return weight
     if np.ndim(weight) == 0:
-        return _values.number("weights", weight)
+        return _values.number(name, weight)
     if np.ndim(weight) != 1:
-        raise BadCalibrationError(f"weights of '{variable}' must be one-dimensional, not of shape {np.shape(weight)}")
+        raise BadCalibrationError(f"{name} of '{variable}' must be one-dimensional, not of shape {np.shape(weight)}")
     return np.asarray(weight, dtype=np.float64).tobytes()
 
 

@@ -61,11 +61,12 @@ class OutputFit(NamedTuple):
 
 
 class FitNoise(NamedTuple):
-    """Noise of the measurements that a fit with priors uses, and its source."""
+    """Noise of the measurements that a fit uses, and its source."""
 
-    source: Literal["stated", "estimated"]
-    """Source: "stated" if the weights are 1 divided by the standard deviation, "estimated" if it is estimated with
-    the parameters."""
+    source: Literal["known", "stated", "estimated"]
+    """Source: "known" if `sigma` or ``noise="stated"`` specifies the noise of all outputs, so that standard errors are
+    absolute. "stated" if the weights specify it relative to the priors, "estimated" if it is estimated with the
+    parameters."""
     sd: dict[str, float]
     """Estimated standard deviation of each variable, in its unit. If the weights of the variable state a scale, it is
     multiplied by the weight."""
@@ -91,9 +92,9 @@ class ChosenTolerance(NamedTuple):
 
 
 def _noise(found: Any) -> FitNoise | None:
-    """Converts the noise from the native code: None, "stated" or the estimates."""
+    """Converts the noise from the native code: None, "known", "stated" or the estimates."""
     if not isinstance(found, dict):
-        return None if found is None else FitNoise("stated", {}, {}, 0, True)
+        return None if found is None else FitNoise(found, {}, {}, 0, True)
     estimated = found["estimated"]
     sds = {output["variable"]: output["sd"] for output in estimated["outputs"]}
     of_residuals = {output["variable"]: output["is_of_residuals"] for output in estimated["outputs"]}
@@ -132,8 +133,8 @@ class Fit(OptimizeResult):
     rms : float
         Root of the mean squared weighted residual at ``x``, with the weights of the calibration and without the loss.
     noise : FitNoise or None
-        Noise of the measurements relative to the priors: ``fit.noise.source``, ``fit.noise.sd``. None if nothing
-        depends on it (no priors, or an objective other than the sum of squares).
+        Noise of the measurements: ``fit.noise.source``, ``fit.noise.sd``. None if nothing depends on it: the noise is
+        not known, and there are no priors or the objective is not the sum of squares.
     tolerance : ChosenTolerance or None
         The relative tolerance chosen for the simulations. None if it was given, if the step is fixed, if a
         co-simulation declares no tolerance, or if `f_tol` is zero.

@@ -67,7 +67,8 @@ class Uncertainty:
     degrees_of_freedom : float
         Number of measurements minus the number of parameters that they determine. Without priors, these are the
         parameters that are not held. A parameter with a prior as accurate as the measurements counts one half.
-        Measurements with weight zero, and those from which a simulation starts, do not count.
+        Measurements with weight zero, and those from which a simulation starts, do not count. Infinite if the noise of
+        all outputs is known (`sigma`), because no variance is then estimated.
     effective_degrees_of_freedom : ndarray, shape (n,)
         Degrees of freedom of the confidence interval of each parameter (Satterthwaite). They are lower if its
         variance comes mostly from an output with few measurements, or if residuals are autocorrelated. They are

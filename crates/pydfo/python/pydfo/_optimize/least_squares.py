@@ -43,6 +43,7 @@ def least_squares(
     on_error: Literal["raise", "fail"] = "raise",
     vectorized: bool = False,
     search: Literal["local", "global"] = "local",
+    absolute_sigma: bool = False,
 ) -> LeastSquaresResult:
     """Minimise the sum of the squares of residuals without derivatives.
 
@@ -99,6 +100,10 @@ def least_squares(
     search : {"local", "global"}
         "local": the minimum next to the start. "global": the best minimum in the box, by searches from several starts
         ("multistart" of `minimize`, with its options), which requires two finite bounds for every parameter.
+    absolute_sigma : bool
+        If True, the residuals are in units of their known standard deviation, so ``cov`` is ``inv(J.T @ J)``, as in
+        SciPy's ``curve_fit``. If False, ``cov`` is scaled by the variance of the residuals. True requires the loss
+        "linear". Without more residuals than parameters, or if all residuals are zero, ``cov`` is not rescaled.
 
     Returns
     -------
@@ -124,6 +129,8 @@ def least_squares(
     """
     if x0 is None:
         raise ValueError("x0 (the start point) is missing")
+    if absolute_sigma and loss != "linear":
+        raise ValueError(f"absolute_sigma=True requires loss='linear', not {loss!r}")
     start = _values.vector("x0", x0)
     result = run(
         least_squares,
@@ -150,4 +157,7 @@ def least_squares(
         f_scale=f_scale,
     )
     assert isinstance(result, LeastSquaresResult)
+    if absolute_sigma and result.cov is not None and result.active_mask is not None:
+        variance = result.sum_of_squares / max(result.fun.size - np.count_nonzero(result.active_mask == 0), 1)
+        result.cov = result.cov / variance if variance > 0 else result.cov
     return result
