@@ -14,22 +14,22 @@ STEPS, WARMUP = 4000, 1000
 
 
 def decay(parameters, seed):
-    """Returns a fit of `x' = -k x` from an unknown initial value, with stated noise."""
+    """Returns a fit of `x' = -k x` from an unknown initial value, with known noise."""
     rng = np.random.default_rng(seed)
     t = np.linspace(0.0, 3.0, 31)
     x = np.exp(-1.5 * t) + 0.02 * rng.standard_normal(t.size)
-    return pydfo.Calibration(pydfo.example_fmu("dahlquist"), {"time": t, "x": x}, ["x"], parameters, weights={"x": 1 / 0.02}).fit()
+    return pydfo.Calibration(pydfo.example_fmu("dahlquist"), {"time": t, "x": x}, ["x"], parameters, sigma={"x": 0.02}).fit()
 
 
 def oscillator(seed):
-    """Returns a fit of van der Pol's oscillator: damping and both initial states, with stated noise."""
+    """Returns a fit of van der Pol's oscillator: damping and both initial states, with known noise."""
     rng = np.random.default_rng(seed)
     model = pydfo.FMUModel(pydfo.example_fmu("van_der_pol"))
     t = np.linspace(0.0, 10.0, 101)
     run = model.simulate(times=t)
     x = run["x0"] + 0.1 * rng.standard_normal(t.size)
     parameters = [pydfo.Parameter("mu", 1.1, 0.1, 5), pydfo.Parameter("x0", 2.1, -5, 5), pydfo.Parameter("x1", 0.1, -5, 5)]
-    return pydfo.Calibration(pydfo.example_fmu("van_der_pol"), {"time": t, "x": x}, {"x0": "x"}, parameters, weights={"x0": 1 / 0.1}).fit()
+    return pydfo.Calibration(pydfo.example_fmu("van_der_pol"), {"time": t, "x": x}, {"x0": "x"}, parameters, sigma={"x0": 0.1}).fit()
 
 
 def by_emcee(fit, walkers, seed):

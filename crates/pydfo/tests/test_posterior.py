@@ -10,18 +10,18 @@ from pydfo import Calibration, Normal, Parameter, Posterior, example_fmu
 TIMES = np.linspace(0, 3, 30)
 
 
-def decay(weight=1.0, upper=5.0, **rate):
+def decay(sigma=None, upper=5.0, **rate):
     x = np.exp(-1.5 * TIMES) + np.random.default_rng(7).normal(0, 0.05, TIMES.size)
     parameters = [Parameter("k", 1.0, 0.1, upper, **rate), Parameter("x", 1.0, 0.5, 2.0)]
-    return Calibration(example_fmu("dahlquist"), {"time": TIMES, "x": x}, ["x"], parameters, weights={"x": weight})
+    return Calibration(example_fmu("dahlquist"), {"time": TIMES, "x": x}, ["x"], parameters, sigma=sigma and {"x": sigma})
 
 
 def test_posterior_agrees_with_the_covariance_of_a_nearly_linear_model():
-    fit = decay(weight=1 / 0.05).fit()
+    fit = decay(sigma=0.05).fit()
     found = fit.sample(800, rng=1, workers=2)
     assert isinstance(found, Posterior) and found.converged and found.names == ["k", "x"] and not found.interrupted
     assert found.chain.shape == (600, 16, 2) and found.log_density.shape == (600, 16) and found.n_warmup == 200
-    # The covariance for the stated noise, from the derivatives of exp(-k t) x.
+    # The covariance for the known noise, from the derivatives of exp(-k t) x.
     k, x = fit.x
     jacobian = np.column_stack([-TIMES * x * np.exp(-k * TIMES), np.exp(-k * TIMES)]) / 0.05
     expected = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))

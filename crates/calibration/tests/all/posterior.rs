@@ -2,7 +2,7 @@
 
 use calibration::{
     Calibration, CalibrationError, CostKind, Data, Experiment, FitOptions, NamedCost, Parameter, Posterior,
-    PosteriorOptions, Prior, RunContext, Scale, WalkerStart,
+    PosteriorOptions, Prior, RunContext, Scale, Sigma, WalkerStart, Weight,
 };
 use dfo::{Loss, RobustLoss};
 use example_models::example_fmu;
@@ -13,7 +13,7 @@ const SD: f64 = 0.2;
 
 /// Height of a ball without gravity: `h + v t`, a linear model, with deviations of plus and minus one standard
 /// deviation.
-fn line(n: usize, weight: f64, parameters: impl IntoIterator<Item = Parameter>) -> Calibration {
+fn line(n: usize, weight: impl Into<Weight>, parameters: impl IntoIterator<Item = Parameter>) -> Calibration {
     let times: Vec<f64> = (0..n).map(|k| 0.1 * k as f64).collect();
     let heights = times.iter().enumerate().map(|(k, t)| 10.0 + 2.0 * t + if k % 3 == 0 { SD } else { -SD });
     let data = Data::from_columns(times.clone(), [("h".to_owned(), heights.collect())]).unwrap();
@@ -58,8 +58,8 @@ fn assert_moments(found: &Posterior, k: usize, mean: f64, sd: f64) {
 }
 
 #[test]
-fn posterior_with_stated_noise_is_the_normal_distribution_of_least_squares() {
-    let found = sample(&line(20, 1.0 / SD, free()), &options(600));
+fn posterior_with_known_noise_is_the_normal_distribution_of_least_squares() {
+    let found = sample(&line(20, Sigma::Constant(SD), free()), &options(600));
     let (x, _, inverse) = least_squares(20);
     (0..2).for_each(|k| assert_moments(&found, k, x[k], SD * inverse[k].sqrt()));
     let (low, high) = found.interval(1, 0.95);
@@ -85,7 +85,7 @@ fn bound_cuts_the_posterior() {
     let (x, _, _) = least_squares(20);
     let known = Parameter::new("h", x[0]).fixed(true);
     let cut = Parameter::new("v", x[1] + 0.01).bounds(x[1], 9.0);
-    let found = sample(&line(20, 1.0 / SD, [known, cut]), &options(1000));
+    let found = sample(&line(20, Sigma::Constant(SD), [known, cut]), &options(1000));
     // Half normal with the standard deviation 0.2 / sqrt(sum t^2), because h is fixed.
     let sd = SD / (0..20).map(|k| (0.1 * f64::from(k)).powi(2)).sum::<f64>().sqrt();
     let (mean, of_half) = ((2.0 / std::f64::consts::PI).sqrt(), (1.0 - 2.0 / std::f64::consts::PI).sqrt());
@@ -107,7 +107,7 @@ fn log_normal_prior_is_sampled_on_both_scales() {
 
 #[test]
 fn sample_has_the_same_bits_for_any_number_of_workers_and_after_a_restart() {
-    let calibration = line(12, 1.0 / SD, free());
+    let calibration = line(12, Sigma::Constant(SD), free());
     let whole = sample(&calibration, &options(40));
     let parallel = sample(&calibration, &PosteriorOptions { workers: Some(3), ..options(40) });
     assert_eq!((&whole.draws, &whole.log_densities), (&parallel.draws, &parallel.log_densities));
@@ -134,11 +134,13 @@ fn sample_has_the_same_bits_for_any_number_of_workers_and_after_a_restart() {
 
 #[test]
 fn walkers_can_start_in_the_box() {
-    let found =
-        sample(&line(20, 1.0 / SD, free()), &PosteriorOptions { start: WalkerStart::Box, ..options(1500) });
+    let found = sample(
+        &line(20, Sigma::Constant(SD), free()),
+        &PosteriorOptions { start: WalkerStart::Box, ..options(1500) },
+    );
     let (x, _, inverse) = least_squares(20);
     (0..2).for_each(|k| assert_moments(&found, k, x[k], SD * inverse[k].sqrt()));
-    let open = line(20, 1.0 / SD, [Parameter::new("v", 1.5)]);
+    let open = line(20, Sigma::Constant(SD), [Parameter::new("v", 1.5)]);
     let fit = open.fit(FitOptions::default()).unwrap();
     let from_box = PosteriorOptions { start: WalkerStart::Box, ..options(10) };
     let error = open.sample(&fit, &from_box, &mut |_| (), &RunContext::new()).unwrap_err().to_string();
@@ -147,7 +149,7 @@ fn walkers_can_start_in_the_box() {
 
 #[test]
 fn unsuitable_fits_and_options_are_rejected() {
-    let calibration = line(20, 1.0 / SD, free());
+    let calibration = line(20, Sigma::Constant(SD), free());
     let error = |fit: FitOptions<'_>, options: &PosteriorOptions| {
         let fit = calibration.fit(fit).unwrap();
         match calibration.sample(&fit, options, &mut |_| (), &RunContext::new()) {

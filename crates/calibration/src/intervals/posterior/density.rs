@@ -46,20 +46,16 @@ impl LogDensity {
             ));
         }
         let (problem, layout) = (calibration.problem(), calibration.residual_layout());
-        let is_estimated = |output: &OutputResiduals| match &fit.noise {
-            Some(FitNoise::Estimated(noise)) => {
-                noise.outputs.iter().any(|one| one.variable == output.variable)
-            }
-            Some(FitNoise::Stated) => false,
-            None => {
-                let weight = &problem.experiments[output.experiment].outputs[output.output].weight;
-                // Weights of 0 and 1 only select measurements.
-                !weight.states_noise() || output.weights.iter().all(|w| *w == 0.0 || *w == 1.0)
-            }
+        let is_known = |output: &OutputResiduals| {
+            !is_likelihood
+                && match &fit.noise {
+                    Some(FitNoise::Known | FitNoise::Stated) => true,
+                    Some(FitNoise::Estimated(_)) | None => output.is_noise_known,
+                }
         };
         let mut groups: Vec<NoiseGroup> = Vec::new();
         for output in &layout.outputs {
-            let is_known = !is_likelihood && !is_estimated(output);
+            let is_known = is_known(output);
             let weight = &problem.experiments[output.experiment].outputs[output.output].weight;
             let factor = |row: usize| match weight.is_scale() {
                 true => 1.0 / output.weights[row - output.range.start],

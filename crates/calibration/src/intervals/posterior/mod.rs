@@ -77,7 +77,8 @@ impl Calibration {
     /// parameter without one is uniform in the parameter or, with a logarithmic scale, in its logarithm. The
     /// noise is normal and independent:
     ///
-    /// - If weights state the noise (1/sigma), the likelihood is `exp(-sum r^2 / 2)`.
+    /// - If the noise is known ([`Weight::Sigma`](crate::Weight::Sigma),
+    ///   [`NoiseRule::Stated`](crate::NoiseRule::Stated)), the likelihood is `exp(-sum r^2 / 2)`.
     /// - Otherwise the standard deviation of an output is unknown. It is integrated out with the prior `1 /
     ///   sigma`, which gives `(sum r^2)^(-N / 2)` for the N measurements of a variable (Gelman et al.,
     ///   Bayesian Data Analysis, third edition, 2013, section 3.2).

@@ -453,8 +453,8 @@ class Fit(OptimizeResult):
 
         The density is the product of the likelihood and the priors, within the bounds. The prior of a parameter
         without one is uniform in the parameter or, with ``scale="log"``, in its logarithm. The noise is normal and
-        independent. If weights state the noise (1/sigma), the likelihood is ``exp(-cost / 2)``. Otherwise the
-        standard deviation of each output is unknown and is integrated out with the prior 1/sigma (Gelman et al.,
+        independent. If it is known (``sigma=``, or ``noise="stated"``), the likelihood is ``exp(-cost / 2)``. Otherwise
+        the standard deviation of each output is unknown and is integrated out with the prior 1/sigma (Gelman et al.,
         Bayesian Data Analysis, third edition, 2013, section 3.2).
 
         In each step, each walker moves by a multiple of the difference of two other walkers (ter Braak, Statistics and
