@@ -463,7 +463,7 @@ fn checkpoint_contains_only_kept_trace() {
         }
         let whole = optimizer.report().unwrap();
         drop(optimizer);
-        // The simplex and the points for cost prediction take 15 kB; the whole trace takes 450 kB.
+        // The simplex takes 15 kB; the whole trace takes 450 kB.
         let size = std::fs::metadata(&path).unwrap().len();
         assert!(size < if limit == 50 { 50_000 } else { 600_000 }, "{size}");
         let mut resumed = run(Resume::Require, limit);

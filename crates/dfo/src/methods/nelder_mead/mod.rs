@@ -13,7 +13,7 @@
 //! point with too high a cost.
 //!
 //! **Plans.** An iteration needs its points one after the other: the reflection, then possibly one more. A
-//! plan determines how many points are evaluated at once ([`Lookahead`]). The others are predicted. Half of
+//! plan determines how many points are evaluated at once ([`Lookahead`]). The others are guesses. Half of
 //! all iterations accept the reflection unchanged, a quarter contract inside, and a quarter try an expansion.
 //! The most probable next point is thus the reflection of the next iteration. Every plan follows the same
 //! path, because the method receives the same answers as with one point at a time.
@@ -45,7 +45,6 @@
 mod initial;
 mod iteration;
 mod options;
-mod prediction;
 mod restart;
 mod simplex;
 mod simplex_search;

@@ -2,12 +2,11 @@
 //!
 //! The result of an iteration is known only after its costs. However, only a few simplices are likely to
 //! follow, and their points can be computed. For example, an accepted reflection replaces the worst vertex,
-//! and the current second worst vertex becomes the worst. The probability of each simplex follows from the
-//! predicted costs at its points. Without a prediction, it follows from counted frequencies. The guesses are
+//! and the current second worst vertex becomes the worst. If the costs of its points are known, they
+//! determine the next simplex. Otherwise, its probability follows from counted frequencies. The guesses are
 //! expanded best first, over as many iterations as the requested number of points requires.
 
 use super::options::CoefficientValues;
-use super::prediction::{Estimate, Prediction};
 use super::trial::{Frame, Seen, Trial, TrialPoint};
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::problem::space::Space;
@@ -26,9 +25,6 @@ const EXPANDED: f64 = 0.11 / 0.23;
 /// Frequency of contracted points that are not the worst vertex of the new simplex.
 const BETTER_THAN_WORST: f64 = 0.8;
 
-/// Weight of these frequencies relative to a prediction, which sometimes underestimates its error.
-const COUNTED: f64 = 0.1;
-
 /// Minimum probability of a point that is worth evaluating, for any requested number. With 1000 workers, a
 /// quarter of this value gains nothing (benches/scaling.md) and the search takes five times as long.
 const LEAST_PROBABILITY: f64 = 1.0 / 256.0;
@@ -39,7 +35,6 @@ pub(super) struct Problem<'a> {
     pub(super) handling: BoundsHandling,
     pub(super) numbers: &'a CoefficientValues,
     pub(super) simplex: &'a RankedPoints,
-    pub(super) prediction: &'a Prediction,
     pub(super) known: &'a dyn Fn(&[f64]) -> KnownCost,
 }
 
@@ -102,8 +97,8 @@ pub(super) struct Speculation {
     guesses: BinaryHeap<Guess>,
     n_guesses: usize,
     points: Vec<TrialPoint>,
-    /// Costs of the points, if they can be estimated.
-    estimates: Vec<Option<Estimate>>,
+    /// Costs of the points, if they are known. Infinite costs are only known to be high.
+    costs: Vec<Option<f64>>,
     n_points: usize,
     centroid: Vec<f64>,
 }
@@ -138,11 +133,11 @@ impl Speculation {
             }
             let Some(guess) = self.guesses.pop() else { return };
             let number = self.place(problem, guess);
-            let TrialPoint { u, x, .. } = &self.points[number];
+            let x = &self.points[number].x;
             let known = (problem.known)(x);
-            self.estimates[number] = match known {
-                KnownCost::Cost(cost) => Some(Estimate::exact(cost)),
-                KnownCost::Nothing | KnownCost::Hidden => problem.prediction.at(u),
+            self.costs[number] = match known {
+                KnownCost::Cost(cost) => Some(cost),
+                KnownCost::Nothing | KnownCost::Hidden => None,
             };
             if matches!(known, KnownCost::Nothing) && self.points[..number].iter().all(|p| p.x != *x) {
                 found(x, guess.node == 0 && guess.trial == Trial::Expansion);
@@ -163,7 +158,7 @@ impl Speculation {
         let number = self.n_points;
         if number == self.points.len() {
             self.points.push(TrialPoint::new(space.n_free(), space.n()));
-            self.estimates.push(None);
+            self.costs.push(None);
         }
         self.n_points += 1;
         number
@@ -172,10 +167,10 @@ impl Speculation {
     fn copy(&mut self, problem: &Problem<'_>, point: &TrialPoint) -> usize {
         let number = self.new_point(problem.space);
         self.points[number].clone_from(point);
-        self.estimates[number] = match point.seen {
-            Seen::Unknown => problem.prediction.at(&point.u),
-            Seen::Cost(cost) => Some(Estimate::exact(cost)),
-            Seen::Rejected => Some(Estimate::exact(f64::INFINITY)),
+        self.costs[number] = match point.seen {
+            Seen::Unknown => None,
+            Seen::Cost(cost) => Some(cost),
+            Seen::Rejected => Some(f64::INFINITY),
         };
         number
     }
@@ -199,10 +194,10 @@ impl Speculation {
         self.replacement(node, slot).map_or_else(|| simplex.u(slot), |point| &self.points[point].u[..])
     }
 
-    fn estimate(&self, simplex: &RankedPoints, node: usize, slot: usize) -> Option<Estimate> {
+    fn cost(&self, simplex: &RankedPoints, node: usize, slot: usize) -> Option<f64> {
         match self.replacement(node, slot) {
-            Some(point) => self.estimates[point],
-            None => Some(Estimate::exact(simplex.cost(slot).value().unwrap_or(f64::INFINITY))),
+            Some(point) => self.costs[point],
+            None => Some(simplex.cost(slot).value().unwrap_or(f64::INFINITY)),
         }
     }
 
@@ -266,13 +261,12 @@ impl Speculation {
         }
     }
 
-    /// Returns the number of vertices of a node with lower costs than a point. Returns `None` if the cost is
-    /// not predicted.
+    /// Returns the number of vertices of a node with known costs that are not higher than the cost of a
+    /// point. Returns `None` if the cost is not known.
     fn rank(&self, simplex: &RankedPoints, node: usize, point: usize) -> Option<usize> {
-        let cost = self.estimates[point]?.mean;
-        let order = self.order(node, simplex.n);
-        let estimates = order.iter().map(|slot| self.estimate(simplex, node, *slot));
-        Some(estimates.filter(|other| other.is_some_and(|other| other.mean <= cost)).count())
+        let cost = self.costs[point]?;
+        let costs = self.order(node, simplex.n).iter().map(|slot| self.cost(simplex, node, *slot));
+        Some(costs.filter(|other| other.is_some_and(|other| other <= cost)).count())
     }
 
     /// Returns the probabilities of the outcomes of a trial point. After a reflection: inside contraction,
@@ -280,57 +274,35 @@ impl Speculation {
     /// the reflection. After a contraction: acceptance as a vertex that is not the worst, acceptance as the
     /// worst vertex.
     fn shares(&self, simplex: &RankedPoints, guess: Guess, point: usize) -> [f64; 4] {
-        let counted = match guess.trial {
+        self.known_shares(simplex, guess, point).unwrap_or(match guess.trial {
             Trial::Reflection => [INSIDE, EXPANDING, OUTSIDE, ACCEPTED],
             Trial::Expansion => [EXPANDED, 1.0 - EXPANDED, 0.0, 0.0],
             Trial::Outside | Trial::Inside => [BETTER_THAN_WORST, 1.0 - BETTER_THAN_WORST, 0.0, 0.0],
-        };
-        match self.predicted_shares(simplex, guess, point) {
-            None => counted,
-            Some((shares, true)) => shares,
-            Some((shares, false)) => {
-                std::array::from_fn(|k| COUNTED * counted[k] + (1.0 - COUNTED) * shares[k])
-            }
-        }
+        })
     }
 
-    /// Returns the probabilities of `shares` from the predicted costs, and whether all costs are known.
-    fn predicted_shares(
-        &self,
-        simplex: &RankedPoints,
-        guess: Guess,
-        point: usize,
-    ) -> Option<([f64; 4], bool)> {
+    /// Returns the outcomes of `shares` if the costs determine them.
+    fn known_shares(&self, simplex: &RankedPoints, guess: Guess, point: usize) -> Option<[f64; 4]> {
         let (n, node) = (simplex.n, guess.node);
         let order = self.order(node, n);
-        let at = |rank: usize| self.estimate(simplex, node, order[rank]);
-        let cost = self.estimates[point]?;
-        let reflected = self.estimates[self.nodes[node].reflection];
-        let (shares, others) = match guess.trial {
-            Trial::Reflection => {
-                let [best, second_worst, worst] = [at(0)?, at(n - 1)?, at(n)?];
-                let below_best = cost.below(best);
-                let below_second = cost.below(second_worst).max(below_best);
-                let below_worst = cost.below(worst).max(below_second);
-                let shares =
-                    [1.0 - below_worst, below_best, below_worst - below_second, below_second - below_best];
-                (shares, [best, second_worst, worst])
-            }
-            Trial::Expansion => {
-                let reflected = reflected?;
-                let accepted = cost.below(reflected);
-                ([accepted, 1.0 - accepted, 0.0, 0.0], [reflected; 3])
-            }
+        let at = |rank: usize| self.cost(simplex, node, order[rank]);
+        let cost = self.costs[point]?;
+        let reflected = self.costs[self.nodes[node].reflection];
+        let outcome = match guess.trial {
+            Trial::Reflection if cost < at(0)? => 1,
+            Trial::Reflection if cost < at(n - 1)? => 3,
+            Trial::Reflection => usize::from(cost < at(n)?) * 2,
+            Trial::Expansion => usize::from(cost >= reflected?),
             Trial::Outside | Trial::Inside => {
                 let limit = if guess.trial == Trial::Outside { reflected? } else { at(n)? };
-                let second_worst = at(n - 1)?;
-                let better = cost.below(second_worst);
-                let accepted = cost.below(limit);
-                ([better.min(accepted), (accepted - better).max(0.0), 0.0, 0.0], [limit, second_worst, limit])
+                match (cost < limit, cost < at(n - 1)?) {
+                    // The simplex shrinks.
+                    (false, _) => return Some([0.0; 4]),
+                    (true, is_better) => usize::from(!is_better),
+                }
             }
         };
-        let is_known = cost.is_exact() && others.iter().all(|other| other.is_exact());
-        Some((shares, is_known))
+        Some(std::array::from_fn(|k| f64::from(u8::from(k == outcome))))
     }
 
     /// Adds the simplex in which a point with this rank has replaced the worst vertex, and its reflection.

@@ -4,7 +4,6 @@
 //! batch requests this point.
 
 use super::options::CoefficientValues;
-use super::prediction::Prediction;
 use super::restart::Spreads;
 use super::speculation::{KnownCost, Problem, Speculation};
 use super::trial::{Seen, Trial, TrialPoint};
@@ -88,8 +87,6 @@ pub struct NelderMeadState {
     pub(super) trials: [TrialPoint; 4],
     #[serde(skip)]
     pub(super) speculation: Speculation,
-    #[serde(skip)]
-    pub(super) prediction: Prediction,
     pub(super) restarts: usize,
     pub(super) f_restart: Option<f64>,
     /// Spreads of the costs since the last start.
@@ -138,7 +135,6 @@ impl NelderMeadState {
             centroid: vec![0.0; n],
             trials: [trial(), trial(), trial(), trial()],
             speculation: Speculation::default(),
-            prediction: Prediction::default(),
             restarts,
             f_restart: None,
             spreads: Spreads::default(),
@@ -290,7 +286,6 @@ impl Method for NelderMeadState {
             }
             match self.roles[k] {
                 Role::Vertex(slot) => {
-                    self.prediction.enter(self.simplex.u(slot), cost.unwrap_or(f64::INFINITY));
                     self.simplex.set_cost(slot, cost.map_or(Cost::Failed, Cost::Value));
                 }
                 Role::Step(number) => {
@@ -298,11 +293,7 @@ impl Method for NelderMeadState {
                         search.see(&self.setup.space, number, cost);
                     }
                 }
-                Role::Trial(trial) => {
-                    let point = &mut self.trials[trial as usize];
-                    point.seen = seen;
-                    self.prediction.enter(&point.u, cost.unwrap_or(f64::INFINITY));
-                }
+                Role::Trial(trial) => self.trials[trial as usize].seen = seen,
             }
         }
         match self.phase {
@@ -327,15 +318,14 @@ impl Method for NelderMeadState {
         let (cutoff, best) = (self.worst_cost(), self.simplex.cost(self.simplex.best()).value());
         // A reflection that leads to an expansion is better than the best vertex.
         let best = best.filter(|_| cutoff.is_finite()).unwrap_or(f64::INFINITY);
-        let Self { speculation, prediction, simplex, setup, trials, numbers, handling, .. } = self;
-        prediction.update(simplex);
+        let Self { speculation, simplex, setup, trials, numbers, handling, .. } = self;
         let known = |x: &[f64]| match known.ahead(x, &Query::new(0, 0, cutoff)) {
             Some(answer) => KnownCost::Cost(answer.outcome.value().unwrap_or(f64::INFINITY)),
             None if known.contains(x) => KnownCost::Hidden,
             None => KnownCost::Nothing,
         };
         let space = &setup.space;
-        let problem = Problem { space, handling: *handling, numbers, simplex, prediction, known: &known };
+        let problem = Problem { space, handling: *handling, numbers, simplex, known: &known };
         speculation.look(&problem, trial, trials, wanted, |x, expansion| {
             batch.push(x, if expansion { best.min(cutoff) } else { cutoff });
         });
