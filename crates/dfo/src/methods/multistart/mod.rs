@@ -25,6 +25,14 @@
 //! next searches in the queue also start. The path later requests the points that these copies evaluate,
 //! unless the run ends before. Therefore the number of workers does not change the result.
 //!
+//! The gain was measured with a simulated clock at 4 and 16 workers: the time without a mechanism divided by
+//! the time with it, as the median over 20 problems with 2 to 10 parameters and at most 150 (n + 1)
+//! evaluations. If all evaluations take equally long, the copies of running searches gain nothing. If one in
+//! ten takes ten times as long, they gain 1.4 and 1.6 with least squares. Without residuals, they gain 1.1
+//! and 1.2, and nothing after an exploration. An early start of the next searches gains nothing in the
+//! median, because few searches are queued. In long runs it gains more: `tests/all/flow.rs` has 5000
+//! evaluations and 16 workers. Their useful share is above 0.6, and 0.39 without early starts.
+//!
 //! If the number of evaluations is limited, half of them are reserved until the first local search has ended.
 //! The sample and the parallel searches use at most the other half, and then wait. A problem with one minimum
 //! is thus solved if its local search needs less than the reserved half.
