@@ -5,6 +5,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 SITE   := target/site-venv
+ENGINES := target/engines-venv
 WINDOWS := x86_64-pc-windows-gnu
 # The extension module is left to the interpreter to link.
 export PYO3_BUILD_EXTENSION_MODULE := 1
@@ -19,7 +20,7 @@ endef
 # $(call develop,options): builds the Python module and installs it into .venv.
 develop = @$(BIN)/maturin develop --quiet --manifest-path crates/pydfo/Cargo.toml $(1)
 
-.PHONY: help demo test test-rust test-python test-packaging test-long lint lint-windows bench bench-dfo doc pictures build fuzz sanitize nightly clean
+.PHONY: help demo test test-rust test-python test-packaging test-engines test-long lint lint-windows bench bench-dfo doc pictures build fuzz sanitize nightly clean
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 18
 
@@ -54,6 +55,10 @@ test-python: $(VENV)/.tools  ## pytest, stub check, examples
 
 test-packaging: $(VENV)/.tools  ## the source distribution builds and works in an empty environment elsewhere
 	$(call suite,packaging,bash tools/packaging.sh $(BIN))
+
+test-engines: $(VENV)/.tools $(ENGINES)/.done  ## fits on Dask, Ray, IPyParallel, joblib and MPI; engines that cannot be installed are skipped
+	@VIRTUAL_ENV=$(CURDIR)/$(ENGINES) $(BIN)/maturin develop --quiet --manifest-path crates/pydfo/Cargo.toml
+	$(call suite,engines,$(ENGINES)/bin/python -m pytest -q -rs crates/pydfo/tests/test_executors.py)
 
 test-long: $(VENV)/.tools build  ## what takes long: many runs, memory
 	$(call suite,long rust tests,cargo test --workspace --release --quiet -- --ignored)
@@ -124,6 +129,13 @@ $(VENV)/.tools: crates/pydfo/requirements-dev.txt $(VENV)/.demo
 $(SITE)/.done: crates/pydfo/requirements-docs.txt
 	@test -x $(SITE)/bin/python || $(PYTHON) -m venv $(SITE)
 	@$(SITE)/bin/python -m pip install --quiet --disable-pip-version-check -r $<
+	@touch $@
+
+# An engine may have no package for this platform or version of Python.
+$(ENGINES)/.done: crates/pydfo/requirements-engines.txt
+	@test -x $(ENGINES)/bin/python || $(PYTHON) -m venv $(ENGINES)
+	@grep -v '^#' $< | while read -r package; do \
+		$(ENGINES)/bin/python -m pip install --quiet --disable-pip-version-check "$$package" || echo "$$package cannot be installed; its tests are skipped"; done
 	@touch $@
 
 benches/env/.venv/.done: benches/env/requirements.txt $(VENV)/.tools

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import concurrent.futures
+import logging
 import os
+import shutil
 import signal
+import subprocess
 import sys
+import textwrap
 import time
 
 import numpy as np
 import pydfo
 import pytest
+from conftest import rosenbrock
 from fmus import evil
+from pydfo._optimize import evaluate
 
 
 def slow_cost(x):
@@ -387,7 +393,121 @@ def test_dask_repeats_tasks_of_killed_process(tmp_path):
     asked = {"bounds": [(-2, 2)] * 2, "method": "de", "rng": 3, "max_evaluations": 120, "args": (marker,)}
     cluster = distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None)
     with cluster, distributed.Client(cluster) as client:
-        result = pydfo.minimize(kills_once, [0.2, 0.3], workers=client.get_executor(pure=False), **asked)
+        result = pydfo.minimize(kills_once, [0.2, 0.3], workers=client, **asked)
     assert os.path.exists(marker) and result.nfail == 0
     # The marker exists, so no further process is killed.
     same(result, pydfo.minimize(kills_once, [0.2, 0.3], workers=1, **asked))
+
+
+def test_silent_executor_is_logged(monkeypatch, caplog):
+    class Silent(concurrent.futures.Executor):
+        def submit(self, function, /, *arguments):
+            return concurrent.futures.Future()
+
+    monkeypatch.setattr(evaluate, "SILENCE", 0.1)
+    with caplog.at_level(logging.WARNING, "pydfo"), pytest.raises(pydfo.PydfoError):
+        pydfo.minimize(slow_cost, [0.2, 0.3], workers=Silent(), max_time=0.5)
+    assert [record.getMessage().split(".")[0] for record in caplog.records] == ["no worker has answered in the first 0"]
+
+
+#: Cancels tasks: differential evolution submits a generation, and the target ends the run before its end.
+DASK = """
+    import logging, time
+    import distributed, pydfo
+    from pydfo._optimize import evaluate
+
+    def cost(x):
+        time.sleep(0.005)
+        return float((x[0] - 1.0) ** 2 + 10.0 * (x[1] + 0.5) ** 2 + x[0] * x[1])
+
+    if __name__ == "__main__":
+        logging.basicConfig()
+        evaluate.SILENCE = 1.0
+        cluster = distributed.LocalCluster(n_workers=3, threads_per_worker=1, dashboard_address=None)
+        with cluster, distributed.Client(cluster) as client:
+            asked = {"bounds": [(-2, 2)] * 2, "method": "de", "rng": 2, "target": -0.4, "max_evaluations": 300}
+            alone = pydfo.minimize(cost, [0.2, 0.3], **asked)
+            for workers in (client, client.get_executor()):
+                result = pydfo.minimize(cost, [0.2, 0.3], workers=workers, **asked)
+                assert result.nfev < 300 and (result.x.tobytes(), result.nfev) == (alone.x.tobytes(), alone.nfev)
+            cluster.scale(0)
+            while client.nthreads():
+                time.sleep(0.05)
+            try:
+                pydfo.minimize(cost, [0.2, 0.3], workers=client, max_time=3.0)
+            except pydfo.PydfoError:
+                pass
+        print("done")
+"""
+
+
+def test_dask_cancels_quietly_and_missing_workers_are_logged(tmp_path):
+    pytest.importorskip("distributed")
+    program = tmp_path / "program.py"
+    program.write_text(textwrap.dedent(DASK))
+    ran = subprocess.run([sys.executable, program], capture_output=True, text=True, timeout=600)
+    assert ran.stdout == "done\n", ran.stderr
+    assert "Traceback" not in ran.stderr and "because the cluster has no workers" in ran.stderr, ran.stderr
+
+
+def results_are_equal(executor):
+    asked = {"bounds": [(-2, 2)] * 2, "rng": 3, "max_evaluations": 60}
+    for method in ("nelder-mead", "de"):
+        same(
+            pydfo.minimize(rosenbrock, [0.2, 0.3], method=method, workers=executor, **asked),
+            pydfo.minimize(rosenbrock, [0.2, 0.3], method=method, workers=1, **asked),
+        )
+    fits = [decay().fit("nelder-mead", workers=workers, max_evaluations=40) for workers in (executor, 1)]
+    assert fits[0].x.tobytes() == fits[1].x.tobytes()
+
+
+def test_ray_result_equals_serial_result():
+    ray = pytest.importorskip("ray")
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, runtime_env={"env_vars": {"PYTHONPATH": os.pathsep.join(sys.path)}})
+    try:
+
+        @ray.remote
+        def run(function, args, kwargs):
+            return function(*args, **kwargs)
+
+        class RayExecutor:
+            _max_workers = 2
+
+            def submit(self, function, /, *args, **kwargs):
+                return run.remote(function, args, kwargs).future()
+
+        results_are_equal(RayExecutor())
+    finally:
+        ray.shutdown()
+
+
+def test_ipyparallel_result_equals_serial_result():
+    ipyparallel = pytest.importorskip("ipyparallel")
+    with ipyparallel.Cluster(n=2, log_level=logging.ERROR) as client:
+        client[:].execute(f"import sys; sys.path[:0] = {sys.path!r}", block=True)
+        results_are_equal(client.executor())
+
+
+MPI = """
+    import sys
+    sys.path[:0] = {path!r}
+    from mpi4py.futures import MPIPoolExecutor
+    from test_executors import results_are_equal
+
+    if __name__ == "__main__":
+        with MPIPoolExecutor(2) as executor:
+            results_are_equal(executor)
+        print("done")
+"""
+
+
+def test_mpi_result_equals_serial_result(tmp_path):
+    pytest.importorskip("mpi4py")
+    launcher = shutil.which("mpiexec") or pytest.skip("mpiexec is not installed")
+    program = tmp_path / "program.py"
+    program.write_text(textwrap.dedent(MPI).format(path=[os.path.dirname(__file__), *sys.path]))
+    version = subprocess.run([launcher, "--version"], capture_output=True, text=True).stdout
+    options = ["--allow-run-as-root", "--oversubscribe"] if "Open MPI" in version else []
+    command = [launcher, *options, "-n", "3", sys.executable, "-m", "mpi4py.futures", program]
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert ran.stdout == "done\n", ran.stderr

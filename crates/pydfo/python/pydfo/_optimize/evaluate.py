@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import concurrent.futures
 import inspect
+import logging
 import os
 import pickle
 import queue
@@ -25,6 +26,12 @@ from .._args import text as _text
 
 FloatArray = npt.NDArray[np.float64]
 Batches = Callable[[FloatArray, FloatArray, Callable[[], bool]], list[Any]]
+
+_log = logging.getLogger("pydfo")
+
+#: Seconds without an answer after which a warning is logged.
+SILENCE = 30.0
+
 
 class WithArguments:
     """The objective with its further arguments; picklable if they are."""
@@ -176,6 +183,9 @@ class Futures:
         self._futures: dict[int, concurrent.futures.Future[Any]] = {}
         self._given_up: set[int] = set()
         self._ended: queue.SimpleQueue[int] = queue.SimpleQueue()
+        #: Time of the last answer or of the first submission; None before it and after a warning.
+        self._silent_since: float | None = None
+        self._has_answered = False
         self.width = width or plan_width(executor)
 
     def submit(self, number: int, x: FloatArray, cutoff: float) -> None:
@@ -184,6 +194,8 @@ class Futures:
         self._began(number, self._executor.submit(self._call, piece))
 
     def _began(self, number: int, future: concurrent.futures.Future[Any]) -> None:
+        if not self._futures:
+            self._silent_since = time.monotonic()
         self._futures[number] = future
         future.add_done_callback(lambda _: self._ended.put(number))
 
@@ -195,14 +207,20 @@ class Futures:
         try:
             number = self._ended.get(timeout=max(seconds, 0.0))
         except queue.Empty:
+            self._warn_of_silence()
             return None
-        future = self._futures.pop(number)
+        future = self._futures.pop(number, None)
+        if future is None:
+            # A released Dask task, which may end later.
+            return None
+        self._silent_since = time.monotonic()
+        if number in self._given_up and (future.cancelled() or isinstance(self._executor, DaskExecutor)):
+            return number, 0.0, ..., ""
+        if future.cancelled():
+            return number, 0.0, RuntimeError("the task was cancelled"), "lost"
+        self._has_answered = True
         try:
-            if future.cancelled() and number in self._given_up:
-                return number, 0.0, ..., ""
             ended = future.result()
-        except concurrent.futures.CancelledError as e:
-            return number, 0.0, RuntimeError(f"the task was cancelled {e}".strip()), "lost"
         except (concurrent.futures.BrokenExecutor, pickle.PicklingError, TypeError, AttributeError, ImportError) as e:
             # Every other point would fail in the same way.
             return number, 0.0, e, "broken"
@@ -212,20 +230,55 @@ class Futures:
             return number, ended[0], ended[1], ""
         return number, 0.0, ended, ""
 
+    def _warn_of_silence(self) -> None:
+        """Logs a warning, once, if no worker answers and this is probably not due to long evaluations."""
+        if self._silent_since is None or time.monotonic() - self._silent_since < SILENCE:
+            return
+        self._silent_since = None
+        if (n_workers := worker_count(self._executor)) == 0:
+            _log.warning("no worker has answered for %g s, because the cluster has no workers. Its logs contain the reason", SILENCE)
+        elif not self._has_answered:
+            count = "" if n_workers is None else f" of {n_workers}"
+            _log.warning(
+                "no worker%s has answered in the first %g s. If an evaluation takes less, check the logs of the workers", count, SILENCE
+            )
+
     def cancel(self, number: int) -> None:
         """Abandons a point; a running evaluation continues."""
         future = self._futures.get(number)
         if future is not None:
             self._given_up.add(number)
-            future.cancel()
+            if isinstance(self._executor, DaskExecutor):
+                # Dask's cancel waits for the scheduler. The scheduler drops a released task that has not started.
+                future.release()
+                self._ended.put(number)
+            else:
+                future.cancel()
+
+
+class DaskExecutor:
+    """An executor on a Dask client.
+
+    The executor of Dask prints tracebacks if a task ends while it is cancelled. It also needs `pure=False` to run a
+    task again."""
+
+    def __init__(self, client: Any, options: dict[str, Any]) -> None:
+        self._client = client
+        self._options = options | {"pure": False}
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Any:
+        """Submits a task and returns its Dask future."""
+        return self._client.submit(function, *arguments, **self._options)
 
 
 def executor_of(workers: Any) -> Any:
-    """Returns `workers` if it is an executor, otherwise None.
+    """Returns the executor for `workers`: itself, or one on a Dask client. Returns None if it is no executor.
 
-    Raises TypeError for objects of Dask and joblib that are not executors, and names the object to pass instead."""
+    Raises TypeError for objects of joblib that are not executors, and names the object to pass instead."""
     if callable(getattr(workers, "get_executor", None)):
-        raise TypeError("a Dask Client is not an executor; use workers=client.get_executor()")
+        return DaskExecutor(workers, {})
+    if type(workers).__module__ == "distributed.cfexecutor":
+        return DaskExecutor(workers._client, workers._kwargs)
     if callable(getattr(workers, "submit", None)):
         if isinstance(workers, type):
             raise TypeError(f"workers must be an executor, not the class {workers.__name__}; use {workers.__name__}(...)")
@@ -239,8 +292,8 @@ def executor_of(workers: Any) -> Any:
 
 def foreign(fun: Callable[..., Any], workers: Any, takes_cutoff: bool = False) -> Batches | Futures | None:
     """Returns the evaluator for `workers`; None if it is a number or cannot evaluate points."""
-    if executor_of(workers) is not None:
-        return Futures(fun, workers, takes_cutoff)
+    if (executor := executor_of(workers)) is not None:
+        return Futures(fun, executor, takes_cutoff)
     if callable(workers):
         return mapped(fun, workers, takes_cutoff)
     if callable(getattr(workers, "map", None)):
@@ -248,14 +301,18 @@ def foreign(fun: Callable[..., Any], workers: Any, takes_cutoff: bool = False) -
     return None
 
 
-def plan_width(workers: Any) -> int:
-    """Returns the maximum number of simultaneous points: the workers of an executor if known, otherwise all cores."""
+def worker_count(workers: Any) -> int | None:
+    """Returns the number of workers of an executor, or None if it is unknown."""
+    if isinstance(workers, DaskExecutor):
+        return sum(workers._client.nthreads().values())
     # Attributes of Python's executors, loky and MPI.
     known = getattr(workers, "_max_workers", None) or getattr(workers, "num_workers", None)
-    nthreads = getattr(getattr(workers, "_client", None), "nthreads", None)
-    if known is None and callable(nthreads):
-        known = sum(nthreads().values())
-    return known if isinstance(known, int) and known > 0 else _options.all_cores()
+    return known if isinstance(known, int) and known > 0 else None
+
+
+def plan_width(workers: Any) -> int:
+    """Returns the number of points to plan for: the number of workers of an executor if known, otherwise all cores."""
+    return worker_count(workers) or _options.all_cores()
 
 
 def shared_out(

@@ -93,9 +93,9 @@ def minimize(
         ``concurrent.futures`` executor (including those of Dask, MPI, joblib and Ray), which receives single points,
         or a function like the built-in ``map`` (``multiprocessing.Pool().map``), which receives whole batches. Both
         are called from the calling thread. With processes, `fun` must be picklable. A point lost by an executor,
-        because its process was killed, is a failed evaluation. A broken executor ends the run. The number of workers
-        of a map is unknown, so Nelder-Mead plans for all cores. Set ``options={"batch": ...}`` to be independent of
-        the machine.
+        because its process was killed, is evaluated again; three losses of a point end the run. A broken executor
+        also ends the run. The number of workers of a map is unknown, so Nelder-Mead plans for all cores. Set
+        ``options={"batch": ...}`` to be independent of the machine.
     callback : callable, optional
         ``callback(intermediate_result)`` is called after the starting points and after each iteration, on the calling
         thread, with a `Progress`. Raising StopIteration or returning True ends the run with the best point so far.
