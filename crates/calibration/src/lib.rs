@@ -95,6 +95,7 @@ pub use problem::warning::{SETUP_LOG_TARGET, SetupWarning};
 #[cfg(feature = "report")]
 pub use report::plot;
 pub use report::{ExperimentCurves, OutputCurves, Signal};
+pub use uncertainty::diagnostics::lack_of_fit::LackOfFit;
 pub use uncertainty::diagnostics::prior_check::PriorConflict;
 pub use uncertainty::diagnostics::residual_check::ResidualCheck;
 pub use uncertainty::differences::ResidualBend;

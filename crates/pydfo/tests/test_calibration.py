@@ -207,7 +207,6 @@ def test_failed_simulations_are_counted(dahlquist):
         ({"outputs": 5}, TypeError, "outputs must be a dict"),
         ({"data": {"x": TRUE}}, ValueError, "column 'time' not found; available: 'x'"),
         ({"data": {"time": TIME[::-1], "x": TRUE}}, ValueError, "times must ascend"),
-        ({"data": {"time": [0, 1, 1, 2, 3], "x": TRUE}}, ValueError, "two measurements at time 1"),
         ({"data": {"time": TIME, "x": TRUE[:3]}}, ValueError, "column 'x' has 3 values, but 'time' has 5"),
         ({"data": {"time": TIME, "x": ["a"] * 5}}, ValueError, "'a' in column 'x', row 0, is not a number"),
         ({"data": {"time": TIME, "x": [np.nan] * 5}}, ValueError, "all 5 values of column 'x' from time 0 to 1.5 are missing"),

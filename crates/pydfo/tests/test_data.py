@@ -208,6 +208,139 @@ def test_missing_library_is_named(tmp_path, monkeypatch, file, module, package):
         cost(path)
 
 
+def book_of_two(folder):
+    """Returns a workbook with the sheets cold and warm, and an empty sheet."""
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active.title = "cold"
+    for name, scale in (("cold", 1.0), ("warm", 3.0)):
+        sheet = book["cold"] if name == "cold" else book.create_sheet(name)
+        for row in [("time", "x"), *zip(TIME.tolist(), (scale * X).tolist())]:
+            sheet.append(row)
+    book.create_sheet("empty")
+    book.save(folder / "two.xlsx")
+    return folder / "two.xlsx"
+
+
+def test_sheet_selects_a_sheet_of_a_workbook(tmp_path):
+    path = book_of_two(tmp_path)
+    assert cost(path, sheet="cold") == pytest.approx(COST)
+    assert cost(path, sheet="warm") == pytest.approx(cost({"time": TIME, "x": 3 * X}))
+    with pytest.warns(CalibrationWarning, match=r"several sheets: 'cold', 'warm'. The first one is read") as caught:
+        Calibration(example_fmu("dahlquist"), path, ["x"], [Parameter("k", 1.0, 0.1, 10.0)])
+    assert len(caught) == 1
+    with pytest.raises(BadCalibrationError, match="sheet 'hot' not found; expected one of: 'cold', 'warm', 'empty'"):
+        cost(path, sheet="hot")
+
+
+def test_of_sheets_returns_one_experiment_per_sheet(tmp_path):
+    runs = Experiment.of_sheets(book_of_two(tmp_path), ["x"])
+    calibration = Calibration(example_fmu("dahlquist"), runs, [Parameter("k", 1.0, 0.1, 10.0)])
+    assert [run.name for run in runs] == ["cold", "warm"]
+    assert calibration.cost([1.0]) == pytest.approx(COST + cost({"time": TIME, "x": 3 * X}))
+
+
+def test_hdf5_tables_are_read_through_pandas(tmp_path):
+    pd = pytest.importorskip("pandas")
+    pytest.importorskip("tables")
+    path = tmp_path / "run.h5"
+    pd.DataFrame({"time": TIME, "x": X}).to_hdf(path, key="cold")
+    assert cost(path) == COST
+    pd.DataFrame({"x": 3 * X}, index=pd.Index(TIME, name="time")).to_hdf(path, key="warm")
+    assert cost(path, sheet="warm") == cost({"time": TIME, "x": 3 * X})
+    with pytest.raises(BadCalibrationError, match="several tables; specify one with sheet=, expected one of: 'cold', 'warm'"):
+        cost(path)
+    with pytest.raises(BadCalibrationError, match="table 'hot' not found"):
+        cost(path, sheet="hot")
+
+
+def test_hdf5_without_pytables_states_how_to_install_it(tmp_path, monkeypatch):
+    pytest.importorskip("pandas")
+    path = tmp_path / "run.hdf"
+    path.write_bytes(b"?" * 200)
+    monkeypatch.setitem(__import__("sys").modules, "tables", None)
+    with pytest.raises(ImportError, match="requires PyTables; install it with pip install tables"):
+        cost(path)
+
+
+def test_csv_of_pandas_without_a_name_of_its_index_states_how_to_write_it(tmp_path):
+    pd = pytest.importorskip("pandas")
+    frame = pd.DataFrame({"x": X}, index=TIME)
+    frame.to_csv(tmp_path / "run.csv")
+    with pytest.raises(BadCalibrationError, match=r'the first column has no name, .* write index_label="time" in to_csv'):
+        cost(tmp_path / "run.csv")
+    frame.to_csv(tmp_path / "run.csv", index_label="time")
+    assert cost(tmp_path / "run.csv") == pytest.approx(COST)
+
+
+def test_weight_may_be_missing_where_the_measurement_is():
+    x, w = X.copy(), np.full(41, 2.0)
+    x[3], w[3] = np.nan, np.nan
+    assert cost({"time": TIME, "x": x}, weights={"x": w}) == cost({"time": TIME, "x": x}, weights={"x": 2.0})
+    assert cost({"time": TIME, "x": x, "w": w}, weights={"x": "w"}) == cost({"time": TIME, "x": x}, weights={"x": 2.0})
+    with pytest.raises(BadCalibrationError, match="weight NaN of output 'x' at time 0.15"):
+        cost({"time": TIME, "x": X}, weights={"x": w})
+
+
+def test_scale_weights_one_output():
+    data = {"time": TIME, "x": X, "der": -2 * X}
+    calibration = Calibration(example_fmu("dahlquist"), data, {"x": "x", "der(x)": "der"}, [Parameter("k", 1.0, 0.1, 10.0)], weights={"x": "range"})
+    r = calibration.residuals([1.0])
+    assert r[:41] == pytest.approx((np.exp(-TIME) - X) / np.ptp(X), abs=1e-5)
+    assert r[41:] == pytest.approx(-np.exp(-TIME) + 2 * X, abs=1e-5)
+
+
+def replicates(seed, n=3, misfit=0.0):
+    """Returns n measurements of the decay at each of 10 times, with noise 0.01 and a misfit."""
+    t = np.repeat(np.linspace(0.0, 2.0, 10), n)
+    noise = 0.01 * np.random.default_rng(seed).standard_normal(t.size)
+    return {"time": t, "x": np.exp(-2.0 * t) + misfit * np.sin(5 * t) + noise}
+
+
+def test_replicates_are_compared_one_by_one_and_tested_for_lack_of_fit():
+    data = replicates(1)
+    calibration = Calibration(example_fmu("dahlquist"), data, ["x"], [Parameter("k", 1.0, 0.1, 10.0)])
+    assert calibration.residuals([2.0]) == pytest.approx(np.exp(-2 * data["time"]) - data["x"], abs=1e-5)
+    fit = calibration.fit()
+    groups = data["x"].reshape(10, 3)
+    pure = ((groups - groups.mean(axis=1, keepdims=True)) ** 2).sum()
+    f = (fit.cost - pure) / 9 / (pure / 20)
+    assert f"the lack of fit is F(9, 20) = {f:.3g} (p = " in str(fit)
+    assert "F067" not in {finding.id for finding in fit.findings if finding.severity == "warning"}
+    wrong = Calibration(example_fmu("dahlquist"), replicates(1, misfit=0.03), ["x"], [Parameter("k", 1.0, 0.1, 10.0)]).fit()
+    assert "F067" in {finding.id for finding in wrong.findings if finding.severity == "warning"}
+
+
+def test_standard_errors_of_replicates_cover_the_true_value():
+    z = []
+    for seed in range(30):
+        fit = Calibration(example_fmu("dahlquist"), replicates(seed), ["x"], [Parameter("k", 1.5, 0.1, 10.0)]).fit()
+        z.append((fit.x[0] - 2.0) / fit.stderr[0])
+    assert 0.6 < np.std(z) < 1.4
+
+
+def test_duplicate_rows_are_reported():
+    data = {"time": [0.0, 1.0, 1.0, 2.0], "x": [1.0, 0.1, 0.1, 0.02]}
+    with pytest.warns(CalibrationWarning, match="rows with the time and all measured values of the row before: 1, the first at 1 s"):
+        Calibration(example_fmu("dahlquist"), data, ["x"], [Parameter("k", 1.0, 0.1, 10.0)])
+
+
+def test_factor_scales_an_output_and_an_input():
+    data = {"time": TIME, "x": 3 * X + 0.5}
+    scale, zero = Parameter("scale", 1.0, 0.1, 10.0, factor_of="x"), Parameter("zero", 0.0, -1.0, 1.0, offset_of="x")
+    calibration = Calibration(example_fmu("dahlquist"), data, ["x"], [Parameter("k", 1.0, 0.1, 10.0), scale, zero])
+    assert calibration.residuals([2.0, 1.5, 0.25]) == pytest.approx(1.5 * X + 0.25 - data["x"], abs=1e-5)
+    assert calibration.fit().x == pytest.approx([2.0, 3.0, 0.5], rel=1e-3)
+    t = np.linspace(0.0, 3.0, 31)
+    # x' = (2 gain - x) / T
+    recorded = {"time": t, "x": 2 * 1.5 * (1 - np.exp(-2 * t)), "u": np.ones(31)}
+    gain = Parameter("gain", 1.0, 0.1, 10.0, factor_of="u")
+    driven = Calibration(example_fmu("switched_input"), recorded, ["x"], [Parameter("T", 0.4, 0.1, 2.0), gain], inputs=["u"])
+    assert driven.fit().x == pytest.approx([0.5, 1.5], rel=1e-3)
+    with pytest.raises(ValueError, match="is a factor, which has no unit"):
+        Parameter("gain", 1.0, 0.1, 10.0, factor_of="u", unit="V")
+
+
 @pytest.mark.parametrize(
     ("data", "own", "message"),
     [
@@ -215,7 +348,7 @@ def test_missing_library_is_named(tmp_path, monkeypatch, file, module, package):
         ({"time": TIME, "X": X}, {}, r"column 'x' not found; available: 'time', 'X'. Did you mean 'X'\?"),
         ({"time": TIME, "x": X[:5]}, {}, "column 'x' has 5 values, but 'time' has 41"),
         ({"time": TIME[::-1], "x": X}, {}, "times must ascend"),
-        ({"time": np.zeros(41), "x": X}, {}, "third time"),
+        ({"time": np.zeros(41), "x": X}, {}, "all 41 rows have the time 0"),
         ({"time": TIME, "x": np.full(41, np.nan)}, {}, "all 41 values of column 'x'"),
         ({"time": TIME, "x": np.where(TIME < 1, X, np.inf)}, {}, "column 'x' is infinite or above 1.8e308 at time 1"),
         ({"time": TIME, "x": [10**400] * 41}, {}, "a number in column 'x', row 0, exceeds the largest number 1.8e308"),
@@ -228,7 +361,8 @@ def test_missing_library_is_named(tmp_path, monkeypatch, file, module, package):
         ({"time": TIME, "x [1]": X, "x [%]": X}, {}, r"several columns are named 'x': 'x \[1\]', 'x \[%\]'"),
         ({"time": TIME, "x": np.stack((X, X))}, {}, r"column 'x' must be one-dimensional, not of shape \(2, 41\)"),
         ({"time": TIME, "x": X}, {"window": (5, 6)}, "no time of data is in the window from 5 to 6. The times range from 0 to 2"),
-        ("run.h5", {}, r"run\.h5: \.h5 files are not supported; expected CSV, \.mat, \.parquet or \.xlsx"),
+        ("run.ods", {}, r"run\.ods: \.ods files are not supported; expected CSV, \.mat, \.parquet, \.xlsx or \.h5"),
+        ({"time": TIME, "x": X}, {"sheet": "a"}, r"sheet = 'a' requires a workbook \(\.xlsx\)"),
     ],
 )
 def test_errors_state_their_position(data, own, message):

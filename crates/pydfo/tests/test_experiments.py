@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 import pydfo
-from pydfo import Calibration, Experiment, FMUModel, Parameter, example_fmu
+from pydfo import Calibration, Experiment, FMUModel, Hold, Parameter, example_fmu
 
 TIME = np.linspace(0.0, 1.0, 11)
 BAD = {"time": [1.0, 0.0], "x": [1.0, 2.0]}
 SHARED = Parameter("k", 1.0, 0.1, 10.0)
 LOCAL = Parameter("x", 1.0, 0.1, 10.0, local=True)
+SHARED_BUT_D = Parameter("k", 1.0, 0.1, 10.0, experiments=["a", "b", "c"])
 
 
 def decay(x0, k=2.0):
@@ -92,6 +93,46 @@ def test_inputs_are_separate_for_each_experiment():
     calibration = Calibration(example_fmu("quad_tank"), runs, Parameter("qt.a1", 0.9 * truth, 0.5 * truth, 2.0 * truth))
     assert calibration.names == ["qt.a1"]
     np.testing.assert_allclose(calibration.fit().x, [truth], rtol=1e-3)
+
+
+def test_held_input_equals_doubled_rows_and_is_not_reported():
+    t, u = np.arange(5.0), np.array([0.0, 1.0, 1.0, 0.0, 1.0])
+    measured = {"time": t, "x": np.zeros(5), "u": u}
+    doubled = {"time": np.repeat(t, 2)[1:], "x": np.r_[np.tile([0.0, np.nan], 4), 0.0], "u": np.repeat(u, 2)[:-1]}
+    parameter = Parameter("T", 0.5, 0.1, 2.0)
+
+    def of(data, source):
+        return Calibration(example_fmu("switched_input"), data, ["x"], [parameter], inputs={"u": source})
+
+    held = of(measured, Hold("u"))
+    # x' = (2 u - x) / T with u = 1 from 1 s to 3 s
+    x = 2 * (1 - np.exp(-2 * np.array([0.0, 0.0, 1.0, 2.0])))
+    assert held.residuals([0.5]) == pytest.approx([*x, x[3] * np.exp(-2)], abs=1e-5)
+    assert held.cost([0.5]) == of(doubled, "u").cost([0.5])
+    assert held.cost([0.5]) != of(measured, "u").cost([0.5])
+    reported = [finding.id for finding in of(measured, "u").check(simulate=False)]
+    assert reported == ["F065"]
+    assert not list(held.check(simulate=False))
+    assert pickle.loads(pickle.dumps(held)).cost([0.5]) == held.cost([0.5])
+
+
+def test_parameter_acts_only_in_its_experiments():
+    cases = [("a", 2.0, {}), ("b", 2.0, {}), ("c", 3.0, {}), ("d", 4.0, {"k": 4.0})]
+    runs = [Experiment(decay(1.0, k), {"x": "y"}, name=name, start_values=own) for name, k, own in cases]
+    parameters = [
+        Parameter("k of a and b", 1.0, 0.1, 10.0, variables="k", experiments=["a", "b"]),
+        Parameter("k of c", 1.0, 0.1, 10.0, variables="k", experiments="c"),
+    ]
+    calibration = Calibration(example_fmu("dahlquist"), runs, parameters)
+    assert calibration.names == ["k of a and b", "k of c"]
+    assert calibration.fit().x == pytest.approx([2.0, 3.0], rel=1e-3)
+    assert calibration.residuals([1.0, 1.0])[-11:] == pytest.approx(np.zeros(11), abs=1e-5)
+    local = Calibration(example_fmu("dahlquist"), runs, [SHARED_BUT_D, Parameter("x", 1.0, 0.1, 10.0, local=True, experiments=["a", "c"])])
+    assert local.names == ["k", "x[a]", "x[c]"]
+    with pytest.raises(ValueError, match="'k' acts in the experiment 'e', which does not exist; available: a, b, c, d"):
+        Calibration(example_fmu("dahlquist"), runs, [Parameter("k", 1.0, 0.1, 10.0, experiments=["e"])])
+    with pytest.raises(ValueError, match="sets the variable 'k', which parameter 'k of a and b' also sets"):
+        Calibration(example_fmu("dahlquist"), runs, [parameters[0], Parameter("k", 1.0, 0.1, 10.0, experiments=["b", "c"])])
 
 
 def test_errors_name_the_experiment(tmp_path):

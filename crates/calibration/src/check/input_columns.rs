@@ -20,6 +20,9 @@ const SPARSE: f64 = 0.5;
 /// Values beyond the range of the model by less than this part of their own range are sensor noise.
 const NOISE: f64 = 0.05;
 
+/// Maximum number of levels of a switching input.
+const FEW_LEVELS: usize = 10;
+
 /// Rows of an input that have a value.
 struct Rows {
     times: Vec<f64>,
@@ -34,6 +37,19 @@ pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
     for (input, column) in experiment.driving_columns() {
         let Some((variable, rows)) = driving(subject, input, column) else { continue };
         let name = format!("{prefix}input '{input}' (column '{column}')");
+        let is_interpolated = variable.variability == Variability::Continuous && !experiment.holds(input);
+        if let Some((levels, jumps)) = rows.switches().filter(|_| is_interpolated) {
+            findings.push(Finding::new(
+                Severity::Note,
+                FindingId::SwitchingInput,
+                name.clone(),
+                format!(
+                    "the values switch between {levels} levels (jumps: {jumps}). The simulation connects the rows with straight lines, \
+                     so each jump takes one row spacing"
+                ),
+                "Hold the values between the rows if the actuator switches (Hold(column) in Python, hold = true in a problem file)",
+            ));
+        }
         if let Some(zero) = rows.all_zero(&name, variable) {
             findings.push(zero);
             continue;
@@ -85,7 +101,8 @@ fn driving<'s>(subject: &ExperimentSubject<'s>, input: &str, column: &str) -> Op
 pub(super) fn gaps(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
     let of = |(input, column): (&str, &str)| {
         let (variable, rows) = driving(subject, input, column)?;
-        let is_continuous = variable.variability == Variability::Continuous;
+        let is_continuous =
+            variable.variability == Variability::Continuous && !subject.experiment.holds(input);
         let (sentence, remedy) = rows.gap(subject.experiment.data.time(), is_continuous)?;
         let name = format!("{}input '{input}' (column '{column}')", subject.prefix);
         Some(Finding::warning(FindingId::InputGap, name, sentence, remedy))
@@ -105,6 +122,29 @@ impl Rows {
     fn extent(&self) -> Option<(f64, f64)> {
         let (lowest, highest) = (self.lowest(), self.highest());
         (lowest.is_finite() && highest.is_finite()).then_some((lowest, highest))
+    }
+
+    /// Returns the number of levels and of jumps if the input switches: it has two levels, or a few levels
+    /// and skips one of them in a jump. A coarsely quantised continuous signal changes only to a neighbouring
+    /// level. A jump at a repeated time is already held.
+    fn switches(&self) -> Option<(usize, usize)> {
+        let mut levels: Vec<f64> = Vec::new();
+        for value in &self.values {
+            if let Err(at) = levels.binary_search_by(|level| level.total_cmp(value)) {
+                levels.insert(at, *value);
+                if levels.len() > FEW_LEVELS {
+                    return None;
+                }
+            }
+        }
+        let level = |k: usize| levels.binary_search_by(|level| level.total_cmp(&self.values[k])).unwrap_or(0);
+        let jumps: Vec<usize> = (1..self.values.len())
+            .filter(|k| self.times[k - 1] < self.times[*k])
+            .map(|k| level(k).abs_diff(level(k - 1)))
+            .filter(|distance| *distance > 0)
+            .collect();
+        let is_switching = levels.len() == 2 || jumps.iter().any(|distance| *distance > 1);
+        (is_switching && !jumps.is_empty()).then_some((levels.len(), jumps.len()))
     }
 
     /// Returns a finding if an input is always zero. It may be intended if the model's own value is also
@@ -183,6 +223,20 @@ mod tests {
 
     fn sine(k: usize) -> f64 {
         (0.065 * k as f64).sin()
+    }
+
+    #[test]
+    fn switching_input_has_few_levels_and_jumps() {
+        assert_eq!(rows(40, |k| f64::from(u8::from((k / 7).is_multiple_of(2)))).switches(), Some((2, 5)));
+        assert_eq!(rows(9, |k| [0.0, 5.0, 20.0][k / 2 * 2 % 3]).switches(), Some((3, 4)));
+        // A quantised ramp, a sine and a constant do not switch.
+        assert_eq!(rows(40, |k| (k as f64 / 10.0).floor()).switches(), None);
+        assert_eq!(rows(40, sine).switches(), None);
+        assert_eq!(rows(40, |_| 1.0).switches(), None);
+        // The rows are already doubled.
+        let doubled =
+            Rows { times: vec![0.0, 1.0, 1.0, 2.0, 2.0, 3.0], values: vec![0.0, 0.0, 1.0, 1.0, 0.0, 0.0] };
+        assert_eq!(doubled.switches(), None);
     }
 
     #[test]

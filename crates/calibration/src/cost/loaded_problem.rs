@@ -155,9 +155,9 @@ impl LoadedProblem {
         for (k, simulation) in self.simulations.iter().enumerate() {
             let (part, others) = rest.split_at_mut(simulation.comparison.n_residuals());
             rest = others;
-            let (schedule, offsets) = (simulation.schedule(x), simulation.output_offsets(x));
+            let (schedule, shifts) = (simulation.schedule(x), simulation.output_shifts(x));
             let mut accumulator =
-                Accumulator::new(&simulation.comparison, &schedule, &offsets, running, sum, part);
+                Accumulator::new(&simulation.comparison, &schedule, &shifts, running, sum, part);
             let ran = lend(k, &mut |simulator| simulation.run(simulator, x, &schedule, &mut accumulator))?;
             match &ran {
                 Ok(report) => *stats += report.stats,

@@ -2,6 +2,7 @@
 //! stored.
 
 use crate::data::Series;
+use crate::problem::input::Shift;
 use crate::problem::measurements::Counted;
 use crate::problem::residual_layout::OutputResiduals;
 use base::RunContext;
@@ -153,8 +154,8 @@ pub(crate) fn sum_of_squares(residuals: &[f64]) -> f64 {
 pub(crate) struct Accumulator<'a> {
     comparison: &'a Comparison,
     schedule: &'a Schedule,
-    /// Offset added to each output.
-    offsets: &'a [f64],
+    /// Factor and offset of each output.
+    shifts: &'a [Shift],
     rule: CostRule<'a>,
     /// Sum so far, which starts with the sum of earlier experiments.
     pub(crate) sum: f64,
@@ -182,13 +183,13 @@ impl<'a> Accumulator<'a> {
     pub(crate) fn new(
         comparison: &'a Comparison,
         schedule: &'a Schedule,
-        offsets: &'a [f64],
+        shifts: &'a [Shift],
         rule: CostRule<'a>,
         sum: f64,
         out: &'a mut [f64],
     ) -> Self {
         let next = vec![0; comparison.outputs.len()];
-        Self { comparison, schedule, offsets, rule, sum, seen: 0, next, out, stop: None }
+        Self { comparison, schedule, shifts, rule, sum, seen: 0, next, out, stop: None }
     }
 
     /// True if every requested time has been delivered.
@@ -211,7 +212,7 @@ impl Observer for Accumulator<'_> {
     fn sample(&mut self, sample: &Sample<'_>) -> ControlFlow<()> {
         let Some(index) = sample.index else { return ControlFlow::Continue(()) };
         let Self { comparison, schedule, rule, out, next, .. } = self;
-        let simulated = sample.outputs.iter().zip(self.offsets).map(|(output, offset)| output + offset);
+        let simulated = sample.outputs.iter().zip(self.shifts).map(|(output, shift)| shift.of(*output));
         let of_outputs = comparison.outputs.iter().zip(&comparison.begins).zip(next).zip(simulated);
         for (k, (((output, begin), next), simulated)) in of_outputs.enumerate() {
             let (mut row, weights) = (*next, &output.weights);
@@ -325,6 +326,10 @@ mod tests {
         }
     }
 
+    fn shift(offset: f64) -> Shift {
+        Shift { delay: 0.0, factor: 1.0, offset }
+    }
+
     fn sample<'a>(index: usize, outputs: &'a [f64]) -> Sample<'a> {
         Sample { time: 0.0, index: Some(index), side: Side::Right, states: &[], outputs }
     }
@@ -339,7 +344,7 @@ mod tests {
         assert_eq!(c.n_residuals(), 5);
         let mut out = [f64::NAN; 5];
         let rule = CostRule::whole(RobustLoss::default(), &RunContext::new());
-        let mut a = Accumulator::new(&c, &schedule, &[0.0, 0.5], rule, 100.0, &mut out);
+        let mut a = Accumulator::new(&c, &schedule, &[shift(0.0), shift(0.5)], rule, 100.0, &mut out);
         for i in 0..schedule.times.len() {
             assert!(!a.is_complete());
             assert!(a.sample(&sample(i, &[0.0, -0.5])).is_continue());
@@ -367,11 +372,11 @@ mod tests {
         let schedule = c.schedule(|_| 0.0, 0.0);
         let [mut first, mut second] = [[0.0; 2]; 2];
         let rule = CostRule { cutoff: 4.0, ..CostRule::whole(RobustLoss::default(), &RunContext::new()) };
-        let mut a = Accumulator::new(&c, &schedule, &[0.0], rule, 0.0, &mut first);
+        let mut a = Accumulator::new(&c, &schedule, &[shift(0.0)], rule, 0.0, &mut first);
         assert!(a.sample(&sample(0, &[2.0])).is_continue());
         assert!(a.sample(&sample(1, &[1e-3])).is_break());
         assert_eq!(a.stop, Some(StopReason::AboveCutoff));
-        let mut a = Accumulator::new(&c, &schedule, &[0.0], rule, 0.0, &mut second);
+        let mut a = Accumulator::new(&c, &schedule, &[shift(0.0)], rule, 0.0, &mut second);
         assert!(a.sample(&sample(0, &[f64::NAN])).is_break());
         assert_eq!(a.stop, Some(StopReason::NotFinite(0)));
         assert!(!a.is_complete());

@@ -4,7 +4,7 @@
 use crate::cost::residual::{Comparison, Schedule};
 use crate::data::Series;
 use crate::error::CalibrationError;
-use crate::problem::assignment::{Affine, Assignments, initial_values};
+use crate::problem::assignment::{Affine, Assignments, Shifts, initial_values};
 use crate::problem::definition::{Element, Problem};
 use crate::problem::experiment::{Experiment, InitialState};
 use crate::problem::input::{Shift, Signal};
@@ -63,7 +63,7 @@ impl Simulation {
         let signals = signals.collect::<Result<Vec<_>, _>>()?;
         let final_time = final_time(&measurements, &assigned, elements)?;
         if !experiment.hold_inputs {
-            for (signal, (delay, _)) in signals.iter().zip(&assigned.inputs) {
+            for (signal, Shifts { delay, .. }) in signals.iter().zip(&assigned.inputs) {
                 let (lowest, highest) = range(delay, elements);
                 let span = (start_time - highest.min(0.0), final_time - lowest);
                 signal.check_covers(&experiment.data, span)?;
@@ -89,7 +89,8 @@ impl Simulation {
             run,
             ..SimulateOptions::default()
         };
-        let schedule = comparison.schedule(|output| assigned.outputs[output].0.in_model(&start), start_time);
+        let schedule =
+            comparison.schedule(|output| assigned.outputs[output].delay.in_model(&start), start_time);
         let is_late = schedule.times != times;
         // Row spacing settings depend on the spacing of the measurements.
         let mut plan = SimulationPlan::new(
@@ -107,8 +108,10 @@ impl Simulation {
         plan.require_single_numbers()?;
         experiment.check_outputs(description, &names)?;
         let warnings = options.without_effect(plan.kind()).into_iter().map(SetupWarning::NoEffect).collect();
-        let is_shifted_by_x = assigned.outputs.iter().any(|(delay, _)| !delay.is_constant())
-            || assigned.inputs.iter().any(|(delay, offset)| !delay.is_constant() || !offset.is_constant());
+        let is_shifted_by_x = assigned.outputs.iter().any(|output| !output.delay.is_constant())
+            || assigned.inputs.iter().any(|Shifts { delay, factor, offset }| {
+                [delay, factor, offset].iter().any(|of| !of.is_constant())
+            });
         let simulation = Self {
             name,
             pool: SharedSimulator::new(Arc::new(plan)),
@@ -158,14 +161,14 @@ impl Simulation {
     /// True if the simulation starts at this time of a measurement of an output or later. Outputs are counted
     /// from 0.
     pub(crate) fn starts_at(&self, output: usize, time: f64) -> bool {
-        let (delay, _) = self.assigned.outputs[output];
+        let delay = self.assigned.outputs[output].delay;
         let start = self.options.start_time.unwrap_or_default();
         delay.is_constant() && time - delay.in_model(&[]) <= start + base::time_tolerance(start, time)
     }
 
-    /// Returns the offset that is added to each output at `x`.
-    pub(crate) fn output_offsets(&self, x: &[f64]) -> Vec<f64> {
-        self.assigned.outputs.iter().map(|(_, offset)| offset.in_model(x)).collect()
+    /// Returns the delay, the factor and the offset of each output at `x`.
+    pub(crate) fn output_shifts(&self, x: &[f64]) -> Vec<Shift> {
+        self.assigned.outputs.iter().map(|output| output.at(x)).collect()
     }
 
     /// Returns the sample times of the outputs at `x`.
@@ -178,7 +181,7 @@ impl Simulation {
 
     fn scheduled(&self, comparison: &Comparison, x: &[f64]) -> Schedule {
         let start = self.options.start_time.unwrap_or_default();
-        comparison.schedule(|output| self.assigned.outputs[output].0.in_model(x), start)
+        comparison.schedule(|output| self.assigned.outputs[output].delay.in_model(x), start)
     }
 
     /// Returns the options at the start values of the parameters, as a template for other options.
@@ -264,7 +267,7 @@ impl Simulation {
     ) -> Result<Trajectory, FmiError> {
         let given = times;
         let times = times.unwrap_or(&self.times);
-        let is_late = self.assigned.outputs.iter().any(|(delay, _)| delay.in_model(x) != 0.0);
+        let is_late = self.assigned.outputs.iter().any(|output| output.delay.in_model(x) != 0.0);
         if let Some(given) = given {
             // Sample times of delayed outputs are sorted and begin at the start, and the last one ends the
             // run.
@@ -286,8 +289,8 @@ impl Simulation {
             trajectory.columns = rows.gather(&schedule, &trajectory.columns);
             trajectory.time = times.to_vec();
         }
-        for (column, offset) in trajectory.columns.iter_mut().zip(self.output_offsets(x)) {
-            column.iter_mut().for_each(|value| *value += offset);
+        for (column, shift) in trajectory.columns.iter_mut().zip(self.output_shifts(x)) {
+            column.iter_mut().for_each(|value| *value = shift.of(*value));
         }
         Ok(trajectory)
     }
@@ -369,7 +372,7 @@ fn final_time(
     elements: &[Element],
 ) -> Result<f64, CalibrationError> {
     let mut end = measurements.start_time;
-    for (measured, (delay, _)) in measurements.outputs.iter().zip(&assigned.outputs) {
+    for (measured, Shifts { delay, .. }) in measurements.outputs.iter().zip(&assigned.outputs) {
         let (lowest, _) = range(delay, elements);
         if !lowest.is_finite() {
             let name =

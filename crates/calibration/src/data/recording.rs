@@ -253,9 +253,14 @@ impl Data {
                     Number(time[i - 1])
                 ));
             }
-            if i > 1 && *t == time[i - 2] {
-                return bad(format!("time {} at {} occurs for the third time", Number(*t), place(i)));
-            }
+        }
+        if time.len() > 1 && time[0] == time[time.len() - 1] {
+            return bad(format!(
+                "all {} rows have the time {} in '{time_name}'. Choose the column of the times; for replicates at a single time, add a \
+                 row with the start time and empty cells",
+                time.len(),
+                Number(time[0])
+            ));
         }
         Ok(Self {
             source,
@@ -503,11 +508,11 @@ impl Data {
         Ok(v0 + (v1 - v0) * (time - t0) / (t1 - t0))
     }
 
-    /// Returns a measured column, which has at least one value in these rows and at most one value per time.
+    /// Returns a measured column, which has at least one value in these rows. Several values at one time are
+    /// replicates.
     ///
     /// # Errors
-    /// Returns the errors of [`column`](Self::column). Also returns an error if all values are missing or a
-    /// time has two values.
+    /// Returns the errors of [`column`](Self::column). Also returns an error if all values are missing.
     ///
     /// # Panics
     /// Panics if `rows` exceeds the table.
@@ -522,20 +527,6 @@ impl Data {
                 values.len(),
                 time[0],
                 time[time.len() - 1]
-            ));
-        }
-        let is_twice = |i: &usize| time[*i] == time[i - 1] && !values[*i].is_nan() && !values[i - 1].is_nan();
-        let mut twice = (1..values.len()).filter(is_twice);
-        if let Some(i) = twice.next() {
-            let more = match 1 + twice.count() {
-                1 => String::new(),
-                n => format!(". {n} times occur twice; remove duplicate rows"),
-            };
-            return bad(format!(
-                "column '{name}' has two measurements at time {}: {} and {}{more}",
-                Number(time[i]),
-                Number(values[i - 1]),
-                Number(values[i])
             ));
         }
         Ok(series)

@@ -45,6 +45,11 @@ impl TimeColumn {
             [] if named.is_some() => {
                 Err(format!("column '{wanted}' not found; available: {}", listed(names)))
             }
+            [] if names.clone().next().is_some_and(|first| first.trim().is_empty()) => Err(format!(
+                "column 'time' not found; the first column has no name, as the index of a pandas table, and the others are {}. If it \
+                 contains the times, write index_label=\"time\" in to_csv, or name the column 'time' in the file",
+                listed(names.skip(1))
+            )),
             [] => Err(format!(
                 "column 'time' not found; available: {}. Specify the column of the times (time=\"...\"), or rename it to 'time' or \
                  'time [ms]'",

@@ -152,6 +152,12 @@ identifiers! {
     FailedNearStart = 63 "failed-near-start",
     /// The simulation requires very many steps.
     ManySteps = 64 "many-steps",
+    /// A switching input is interpolated linearly between its rows.
+    SwitchingInput = 65 "switching-input",
+    /// Rows repeat the time and all measured values of the row before.
+    DuplicateRows = 66 "duplicate-rows",
+    /// The residuals are compared with the pure error of replicates.
+    LackOfFit = 67 "lack-of-fit",
 }
 
 impl FindingId {

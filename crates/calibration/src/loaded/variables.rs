@@ -89,8 +89,13 @@ impl Calibration {
         match (1..names.len()).find(|&k| self.values_in(k, x) != first) {
             None => Ok(0),
             Some(_) => {
-                let local: Vec<&str> =
-                    self.problem().parameters.iter().filter(|p| p.is_local()).map(|p| p.name()).collect();
+                let local: Vec<&str> = self
+                    .problem()
+                    .parameters
+                    .iter()
+                    .filter(|p| p.is_local() || p.given_experiments().is_some())
+                    .map(|p| p.name())
+                    .collect();
                 let (local, names) = (local.join(", "), names.join("', '"));
                 Err(CalibrationError::Setup(format!(
                     "each experiment has a separate value of {local}. Specify one, experiment = '{names}'"

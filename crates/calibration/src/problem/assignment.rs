@@ -77,15 +77,29 @@ impl Affine {
     }
 }
 
+/// Delay, factor and offset of an output or input.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Shifts {
+    pub(crate) delay: Affine,
+    pub(crate) factor: Affine,
+    pub(crate) offset: Affine,
+}
+
+impl Shifts {
+    /// Returns the numbers at `x`.
+    pub(crate) fn at(&self, x: &[f64]) -> Shift {
+        let [delay, factor, offset] = [self.delay, self.factor, self.offset].map(|of| of.in_model(x));
+        Shift { delay, factor, offset }
+    }
+}
+
 /// Quantities of the simulation of one experiment that the entries of `x` set.
 #[derive(Debug)]
 pub(crate) struct Assignments {
     /// Variables of the model.
     pub(crate) variables: Vec<(String, Affine)>,
-    /// Delay and offset of each output.
-    pub(crate) outputs: Vec<(Affine, Affine)>,
-    /// Delay and offset of each input.
-    pub(crate) inputs: Vec<(Affine, Affine)>,
+    pub(crate) outputs: Vec<Shifts>,
+    pub(crate) inputs: Vec<Shifts>,
     /// True if the variables equal the entries, in the same order.
     pub(crate) is_identity: bool,
 }
@@ -101,7 +115,8 @@ impl Assignments {
         let experiment = &problem.experiments[k];
         let constant = |variable: &str| {
             let delay = experiment.delays.iter().find(|(delayed, _)| delayed == variable);
-            (Affine::constant(delay.map_or(0.0, |(_, delay)| *delay)), Affine::constant(0.0))
+            let delay = Affine::constant(delay.map_or(0.0, |(_, delay)| *delay));
+            Shifts { delay, factor: Affine::constant(1.0), offset: Affine::constant(0.0) }
         };
         let mut all = Self {
             variables: Vec::new(),
@@ -119,12 +134,15 @@ impl Assignments {
                 }
                 Target::Delay(variable) => {
                     let unit = conversion(parameter, None, description)?;
-                    all.shifts(experiment, variable).for_each(|(delay, _)| *delay = Affine { unit, ..of });
+                    all.shifts(experiment, variable).for_each(|shifts| shifts.delay = Affine { unit, ..of });
                 }
                 Target::Offset(variable) => {
                     let unit = conversion(parameter, Some(variable), description)?;
                     let unit = UnitConversion { offset: 0.0, ..unit };
-                    all.shifts(experiment, variable).for_each(|(_, offset)| *offset = Affine { unit, ..of });
+                    all.shifts(experiment, variable).for_each(|shifts| shifts.offset = Affine { unit, ..of });
+                }
+                Target::Factor(variable) => {
+                    all.shifts(experiment, variable).for_each(|shifts| shifts.factor = of);
                 }
             }
         }
@@ -133,22 +151,20 @@ impl Assignments {
         Ok(all)
     }
 
-    /// Returns the delays and offsets of the outputs and inputs with this name.
+    /// Returns the delays, factors and offsets of the outputs and inputs with this name.
     fn shifts<'a>(
         &'a mut self,
         experiment: &'a Experiment,
         variable: &'a str,
-    ) -> impl Iterator<Item = &'a mut (Affine, Affine)> {
+    ) -> impl Iterator<Item = &'a mut Shifts> {
         let outputs = experiment.outputs.iter().map(|output| &output.variable).zip(&mut self.outputs);
         let inputs = experiment.inputs.iter().map(|(input, _)| input).zip(&mut self.inputs);
         outputs.chain(inputs).filter(move |(name, _)| *name == variable).map(|(_, shift)| shift)
     }
 
-    /// Returns the delay and the offset of each input at `x`.
+    /// Returns the delay, the factor and the offset of each input at `x`.
     pub(crate) fn input_shifts(&self, x: &[f64]) -> impl Iterator<Item = Shift> {
-        self.inputs
-            .iter()
-            .map(|(delay, offset)| Shift { delay: delay.in_model(x), offset: offset.in_model(x) })
+        self.inputs.iter().map(|shifts| shifts.at(x))
     }
 }
 
@@ -163,12 +179,21 @@ fn follow<'a>(
         elements.iter().position(|e| e.source == Some(source) && e.experiment.is_none_or(|only| only == k))
     };
     let mut all = Vec::with_capacity(elements.len());
-    for (i, parameter) in problem.parameters.iter().enumerate() {
+    let name = &problem.experiment_names()[k];
+    let acting = problem.parameters.iter().enumerate().filter(|(_, parameter)| parameter.acts_in(name));
+    for (i, parameter) in acting {
         let (of, factor, offset) = match parameter.tie() {
             Some(tie) => (problem.tied_to(parameter, tie)?, tie.factor, tie.offset),
             None => (i, 1.0, 0.0),
         };
-        all.push((parameter, Affine { entry: entry(of), factor, offset, unit: UnitConversion::IDENTITY }));
+        let entry = Some(entry(of).ok_or_else(|| CalibrationError::Parameter {
+            name: parameter.name().to_owned(),
+            message: format!(
+                "it is tied to '{}', which does not act in {name}. List the experiments of both",
+                problem.parameters[of].name()
+            ),
+        })?);
+        all.push((parameter, Affine { entry, factor, offset, unit: UnitConversion::IDENTITY }));
     }
     for (i, element) in elements.iter().enumerate() {
         if element.source.is_none() && element.experiment == Some(k) {
@@ -225,11 +250,16 @@ pub(crate) fn initial_values(
                          outputs, or use a number or a parameter"
                     ));
                 };
-                let (delay, offset) = assigned.outputs[output];
+                let Shifts { delay, factor, offset } = assigned.outputs[output];
                 if !delay.is_constant() {
                     return setup(format!(
                         "initial state '{state}' is 'measured', but the delay of its output is fitted, so the row of the start is \
                          unknown. Use a number or a parameter"
+                    ));
+                }
+                if !factor.is_constant() {
+                    return setup(format!(
+                        "initial state '{state}' is 'measured', but the factor of its output is fitted. Use a number or a parameter"
                     ));
                 }
                 let column = &experiment.outputs[output].column;

@@ -6,7 +6,7 @@ use crate::problem::experiment::{Experiment, InitialState};
 use crate::problem::parameter::{Parameter, Tie};
 use crate::problem::resolution::{check_names, check_targets};
 use crate::problem::settings::SimulationSettings;
-use crate::problem::warning::{SetupWarning, clock_change, ignored_nominals, unused_columns};
+use crate::problem::warning::{SetupWarning, clock_change, duplicate_rows, ignored_nominals, unused_columns};
 use base::Number;
 use fmi::{FmiError, Fmu, ModelDescription};
 use serde::{Deserialize, Serialize};
@@ -115,7 +115,8 @@ impl Problem {
                 elements.push(Element { parameter: parameter.clone(), source, experiment: None });
                 continue;
             }
-            for (k, (name, experiment)) in names.iter().zip(&self.experiments).enumerate() {
+            let acting = names.iter().zip(&self.experiments).enumerate();
+            for (k, (name, experiment)) in acting.filter(|(_, (name, _))| parameter.acts_in(name)) {
                 let given = experiment.start_values.iter().find(|(given, _)| parameter.is_called(given));
                 let start = given.map(|(_, value)| {
                     value.as_number().ok_or_else(|| CalibrationError::Parameter {
@@ -193,6 +194,20 @@ impl Problem {
         if let Some(twice) = (1..names.len()).find(|&k| names[..k].contains(&names[k])) {
             return Err(CalibrationError::Setup(format!("two experiments are named '{}'", names[twice])));
         }
+        for parameter in &self.parameters {
+            let given = parameter.given_experiments();
+            if let Some(unknown) = given.into_iter().flatten().find(|name| !names.contains(name)) {
+                let (name, known) = (parameter.name().to_owned(), names.join(", "));
+                let message =
+                    format!("acts in the experiment '{unknown}', which does not exist; available: {known}");
+                return Err(CalibrationError::Parameter { name, message });
+            }
+            if given.is_some_and(<[String]>::is_empty) {
+                let (name, message) =
+                    (parameter.name().to_owned(), "experiments is empty. Omit it".to_owned());
+                return Err(CalibrationError::Parameter { name, message });
+            }
+        }
         check_targets(&self.parameters, &self.experiments, &names, description)?;
         for parameter in &self.parameters {
             if let Some(tie) = parameter.tie().filter(|tie| !tie.across_units) {
@@ -202,10 +217,13 @@ impl Problem {
         }
         let mut warnings = Vec::new();
         for (k, experiment) in self.experiments.iter().enumerate() {
-            let checked = check_names(experiment, &self.parameters, description)
-                .and_then(|()| experiment.check_start_values(description, &self.parameters));
+            let acting = self.parameters.iter().filter(|parameter| parameter.acts_in(&names[k])).cloned();
+            let acting: Vec<Parameter> = acting.collect();
+            let checked = check_names(experiment, &acting, description)
+                .and_then(|()| experiment.check_start_values(description, &acting));
             checked.map_err(|error| self.error_in(k, error))?;
-            let doubts = unused_columns(description, experiment).into_iter().chain(clock_change(experiment));
+            let doubts = unused_columns(description, experiment).into_iter();
+            let doubts = doubts.chain(clock_change(experiment)).chain(duplicate_rows(experiment));
             warnings.extend(doubts.map(|warning| self.warning_in(k, warning)));
         }
         warnings.extend(ignored_nominals(&self.parameters));

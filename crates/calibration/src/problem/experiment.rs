@@ -118,6 +118,12 @@ impl Weight {
         matches!(self, Self::Sigma(_))
     }
 
+    /// Returns the inverse of the [scale](OutputScale::named) with this name, otherwise the values of the
+    /// column with this name.
+    pub fn named(name: &str) -> Self {
+        OutputScale::named(name).map_or_else(|_| Self::Column(name.to_owned()), Self::Inverse)
+    }
+
     /// True if the weight can be interpreted as 1 over the standard deviation of the noise.
     pub(crate) fn states_noise(&self) -> bool {
         match self {
@@ -242,10 +248,12 @@ impl Experiment {
 
     /// Returns the inputs with the columns that drive them.
     pub fn driving_columns(&self) -> impl Iterator<Item = (&str, &str)> {
-        self.inputs.iter().filter_map(|(input, source)| match source {
-            InputSource::Column(column) => Some((input.as_str(), column.as_str())),
-            InputSource::Constant(_) | InputSource::Function(_) => None,
-        })
+        self.inputs.iter().filter_map(|(input, source)| Some((input.as_str(), source.column()?)))
+    }
+
+    /// True if the values of this input are held between the rows of its column.
+    pub(crate) fn holds(&self, input: &str) -> bool {
+        self.inputs.iter().any(|(name, source)| name == input && matches!(source, InputSource::Held(_)))
     }
 
     /// Returns the variables with the columns that measure or drive them.
@@ -309,6 +317,15 @@ impl Experiment {
     #[must_use]
     pub fn input(mut self, variable: impl Into<String>, column: impl Into<String>) -> Self {
         self.inputs.push((variable.into(), InputSource::Column(column.into())));
+        self
+    }
+
+    /// Drives the input `variable` as [`input`](Self::input) does, but holds each value until the next row
+    /// (zero-order hold). Each change is an event. [`resample`](Self::resample) keeps the values and the
+    /// times of their changes.
+    #[must_use]
+    pub fn held_input(mut self, variable: impl Into<String>, column: impl Into<String>) -> Self {
+        self.inputs.push((variable.into(), InputSource::Held(column.into())));
         self
     }
 

@@ -4,9 +4,12 @@
 use crate::data::{CsvRequest, Data, ParameterSet};
 use crate::error::CalibrationError;
 use crate::problem::experiment::{Experiment, InitialState, OutputScale, Sigma, Weight};
+use crate::problem::input::ColumnRecord;
 use crate::problem::parameter::Parameter;
 #[cfg(feature = "schema")]
-use crate::problem::schema::{InitialStateRecord, NumberOr, OutputWeight, Pairs, StartValues, Weights};
+use crate::problem::schema::{
+    InitialStateRecord, InputRecord, NumberOr, OutputWeight, Pairs, StartValues, Weights,
+};
 use base::RunContext;
 use dfo::{Record, RecordError, Value, read_record};
 use serde::Deserialize;
@@ -28,14 +31,15 @@ pub struct ExperimentRecord {
     /// columns and variables have the same names.
     #[cfg_attr(feature = "schema", schemars(with = "Pairs<String>"))]
     outputs: Value,
-    /// A number or a column for each output, which multiplies its residuals; or a scale for all outputs.
+    /// A number, a column or a scale for each output, which multiplies its residuals; or a scale for all
+    /// outputs.
     #[cfg_attr(feature = "schema", schemars(with = "Weights"))]
     weights: Value,
     /// The known standard deviation of the noise of each output: a number or a column.
     #[cfg_attr(feature = "schema", schemars(with = "Pairs<OutputWeight>"))]
     sigma: Value,
-    /// The column that drives each input, or its constant value.
-    #[cfg_attr(feature = "schema", schemars(with = "Pairs<NumberOr<String>>"))]
+    /// The column that drives each input, a column with `hold`, or its constant value.
+    #[cfg_attr(feature = "schema", schemars(with = "Pairs<NumberOr<InputRecord>>"))]
     inputs: Value,
     /// Values of other parameters and start values of variables, or the path of an SSP parameter file (.ssv).
     #[cfg_attr(feature = "schema", schemars(with = "StartValues"))]
@@ -69,10 +73,11 @@ impl Experiment {
     ///   which means are taken;
     /// - `outputs`: the column of each variable. Use a list of pairs if their order matters. Use a list of
     ///   names if columns and variables have the same names;
-    /// - `weights`: a number or a column for an output variable, or `range`, `mean` or `sd` for all outputs;
+    /// - `weights`: a number, a column, or `range`, `mean` or `sd` for an output variable or for all outputs;
     /// - `sigma`: the known standard deviation of the noise of an output variable, as a number or a column.
     ///   It replaces the weight, see [`Weight::Sigma`];
-    /// - `inputs`: the column of a variable, or its constant value;
+    /// - `inputs`: the column of a variable, its constant value, or a column whose values are held between
+    ///   the rows: `{ column = "u", hold = true }`;
     /// - `initial_states`: a number, `measured`, or the record of a parameter;
     /// - `start_values`: a value for each variable, or the path of an SSP parameter file;
     /// - `name`, `windows`, `warm_up`, `start_time`, `delays`, `hold_inputs`.
@@ -109,7 +114,7 @@ impl Experiment {
         let measured: Vec<&str> = outputs.iter().map(|(_, column)| column.as_str()).collect();
         let weighing = weights.iter().filter_map(|weight| weight.column().map(str::to_owned));
         let driving = inputs.iter().filter_map(|(source, _)| match source {
-            Source::Column(column) => Some(column.clone()),
+            Source::Column { column, .. } => Some(column.clone()),
             Source::Constant(_) => None,
         });
         let columns: Vec<String> = measured
@@ -136,7 +141,8 @@ impl Experiment {
         }
         for (source, input) in inputs {
             experiment = match source {
-                Source::Column(column) => experiment.input(input, column),
+                Source::Column { column, hold: true } => experiment.held_input(input, column),
+                Source::Column { column, hold: false } => experiment.input(input, column),
                 Source::Constant(value) => experiment.constant_input(input, value),
             };
         }
@@ -164,16 +170,20 @@ impl Experiment {
 
 /// Source of the values of an input.
 enum Source {
-    Column(String),
+    Column { column: String, hold: bool },
     Constant(f64),
 }
 
 fn source(value: &Value, input: &str) -> Result<Source, RecordError> {
     match value {
-        Value::Text(column) => Ok(Source::Column(column.clone())),
+        Value::Text(column) => Ok(Source::Column { column: column.clone(), hold: false }),
+        Value::Record(fields) => {
+            let ColumnRecord { column, hold } = read_record(fields, "field of an input")?;
+            Ok(Source::Column { column: column.unwrap_or_else(|| input.to_owned()), hold })
+        }
         value => value.read(input).map(Source::Constant).map_err(|_| {
             RecordError::message(format!(
-                "inputs: '{input}' = {value} must be the name of a column, or a number"
+                "inputs: '{input}' = {value} must be the name of a column, {{ column = \"name\", hold = true }}, or a number"
             ))
         }),
     }
@@ -188,7 +198,7 @@ fn weights(given: &Value, outputs: &[(String, String)]) -> Result<Vec<Weight>, C
     let mut weights = vec![Weight::Constant(1.0); outputs.len()];
     for (variable, value) in pairs(given, "weights")? {
         let weight = match &value {
-            Value::Text(column) => Weight::Column(column.clone()),
+            Value::Text(name) => Weight::named(name),
             number => Weight::Constant(number.read(&variable)?),
         };
         for own in of_output(&mut weights, outputs, &variable, "weight")? {

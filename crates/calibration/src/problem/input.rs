@@ -13,10 +13,23 @@ use std::sync::Arc;
 pub(crate) enum InputSource {
     /// A column of the recording.
     Column(String),
+    /// A column of the recording, whose values are held until the next row.
+    Held(String),
     /// A constant value.
     Constant(f64),
     /// A function of time.
     Function(SignalFunction),
+}
+
+/// The column that drives an input.
+#[derive(Debug, Default, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(default, deny_unknown_fields)]
+pub(crate) struct ColumnRecord {
+    /// The column; default: the name of the input.
+    pub(crate) column: Option<String>,
+    /// Holds each value until the next row, instead of connecting the rows by straight lines.
+    pub(crate) hold: bool,
 }
 
 /// A function of time. It is not stored with a problem and must be set again after loading. A worker process
@@ -61,13 +74,47 @@ enum SignalSource {
     Function(SignalFunction),
 }
 
-/// Delay and offset of a signal.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+/// Delay, factor and offset of a signal: `factor * u(t - delay) + offset`.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Shift {
     /// In s.
     pub(crate) delay: f64,
+    pub(crate) factor: f64,
     /// In the unit of the variable.
     pub(crate) offset: f64,
+}
+
+impl Shift {
+    /// Returns a value with its factor and offset.
+    pub(crate) fn of(&self, value: f64) -> f64 {
+        self.factor * value + self.offset
+    }
+}
+
+impl InputSource {
+    /// Returns the column of the recording that provides the values, if there is one.
+    pub(crate) fn column(&self) -> Option<&str> {
+        match self {
+            Self::Column(column) | Self::Held(column) => Some(column),
+            Self::Constant(_) | Self::Function(_) => None,
+        }
+    }
+}
+
+/// Converts rows to the rows of a zero-order hold, in which a repeated time is a jump from the held to the
+/// next value. If a time is repeated, its last value counts.
+pub(crate) fn hold(times: &[f64], values: &[f64]) -> (Vec<f64>, Vec<f64>) {
+    let (mut held_times, mut held) = (Vec::new(), Vec::<f64>::new());
+    let is_last = |(k, (time, _)): &(usize, (&f64, &f64))| times.get(k + 1) != Some(*time);
+    for (_, (time, value)) in times.iter().zip(values).enumerate().filter(is_last) {
+        if let Some(before) = held.last().copied().filter(|before| before != value) {
+            held_times.push(*time);
+            held.push(before);
+        }
+        held_times.push(*time);
+        held.push(*value);
+    }
+    (held_times, held)
 }
 
 impl Signal {
@@ -75,16 +122,26 @@ impl Signal {
     pub(crate) fn new(variable: &str, source: &InputSource, data: &Data) -> Result<Self, CalibrationError> {
         let setup = |message: String| Err(CalibrationError::Setup(message));
         let source = match source {
-            InputSource::Column(column) => {
+            InputSource::Column(column) | InputSource::Held(column) => {
                 let values = data.series(column)?;
-                let rows = || data.time().iter().zip(values).filter(|(_, v)| !v.is_nan());
+                // Of several rows at one time, the first and the last are the limits from both sides.
+                let time = data.time();
+                let known: Vec<usize> = (0..time.len()).filter(|row| !values[*row].is_nan()).collect();
+                let is_between =
+                    |k: usize| k > 0 && k + 1 < known.len() && time[known[k - 1]] == time[known[k + 1]];
+                let limits = || (0..known.len()).filter(|k| !is_between(*k)).map(|k| known[k]);
+                let rows = || limits().map(|row| (time[row], values[row]));
+                let is_held = matches!(source, InputSource::Held(_));
                 match rows().count() {
                     0 => return setup(format!("all values of input column '{column}' are missing")),
-                    n if n == values.len() => {
+                    n if n == values.len() && !is_held => {
                         SignalSource::Rows(data.time_series().shared(), values.shared())
                     }
                     _ => {
-                        let (times, values): (Vec<f64>, Vec<f64>) = rows().unzip();
+                        let (mut times, mut values): (Vec<f64>, Vec<f64>) = rows().unzip();
+                        if is_held {
+                            (times, values) = hold(&times, &values);
+                        }
                         SignalSource::Rows(times.into(), values.into())
                     }
                 }
@@ -104,20 +161,24 @@ impl Signal {
     }
 
     /// Adds the signal to the inputs of a simulation.
-    pub(crate) fn add_to(&self, inputs: Inputs, Shift { delay, offset }: Shift) -> Inputs {
+    pub(crate) fn add_to(&self, inputs: Inputs, shift: Shift) -> Inputs {
         match &self.source {
             SignalSource::Rows(times, values) => {
-                let moved = |all: &Arc<[f64]>, by: f64| match by {
-                    0.0 => Arc::clone(all),
-                    _ => all.iter().map(|one| one + by).collect(),
+                let moved = match shift.delay {
+                    0.0 => Arc::clone(times),
+                    delay => times.iter().map(|time| time + delay).collect(),
                 };
-                inputs.series(&self.variable, moved(times, delay), moved(values, offset))
+                let scaled = match (shift.factor, shift.offset) {
+                    (1.0, 0.0) => Arc::clone(values),
+                    _ => values.iter().map(|value| shift.of(*value)).collect(),
+                };
+                inputs.series(&self.variable, moved, scaled)
             }
             // A table with one row is constant in time.
-            SignalSource::Constant(value) => inputs.series(&self.variable, [0.0], [value + offset]),
+            SignalSource::Constant(value) => inputs.series(&self.variable, [0.0], [shift.of(*value)]),
             SignalSource::Function(SignalFunction { function: Some(function) }) => {
                 let function = function.clone();
-                inputs.function(&self.variable, move |t| function.value(t - delay) + offset)
+                inputs.function(&self.variable, move |t| shift.of(function.value(t - shift.delay)))
             }
             SignalSource::Function(SignalFunction { function: None }) => inputs,
         }
@@ -157,8 +218,21 @@ impl fmt::Display for InputSource {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Column(column) => write!(f, "column '{column}'"),
+            Self::Held(column) => write!(f, "the held column '{column}'"),
             Self::Constant(value) => write!(f, "the constant {}", Number(*value)),
             Self::Function(_) => f.write_str("a function of time"),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hold_adds_rows_only_at_changes_between_different_times() {
+        let (times, values) = hold(&[0.0, 1.0, 2.0, 3.0, 3.0], &[0.0, 5.0, 5.0, 2.0, 4.0]);
+        assert_eq!(times, [0.0, 1.0, 1.0, 2.0, 3.0, 3.0]);
+        assert_eq!(values, [0.0, 0.0, 5.0, 5.0, 5.0, 4.0]);
     }
 }

@@ -206,7 +206,7 @@ pub(crate) fn weights_of_rows(
     column: &str,
     weight: &Weight,
 ) -> Result<Series, CalibrationError> {
-    let (data, n) = (&experiment.data, experiment.data.time().len());
+    let (data, n, measured_column) = (&experiment.data, experiment.data.time().len(), column);
     let (weights, place) = match weight {
         Weight::Constant(weight) if !(weight.is_finite() && *weight > 0.0) => {
             let hint = if *weight == 0.0 { ". Remove the output instead" } else { "" };
@@ -246,13 +246,19 @@ pub(crate) fn weights_of_rows(
         }
         Weight::Rows(weights) => (weights, String::new()),
     };
+    // A missing measurement needs no weight.
+    let measured = data.measured(measured_column, 0..n)?;
+    let weights: Series = match weights.iter().zip(measured).any(|(w, m)| w.is_nan() && m.is_nan()) {
+        true => weights.iter().zip(measured).map(|(w, m)| if m.is_nan() { 0.0 } else { *w }).collect(),
+        false => weights.clone(),
+    };
     match weights.iter().position(|w| !(w.is_finite() && *w >= 0.0)) {
         Some(row) => setup(format!(
             "the weight {} of output '{variable}'{place} at time {} must be finite and at least 0. A weight of 0 excludes a measurement",
             Number(weights[row]),
             Number(data.time()[row])
         )),
-        None => Ok(weights.clone()),
+        None => Ok(weights),
     }
 }
 

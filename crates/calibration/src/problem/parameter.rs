@@ -19,6 +19,8 @@ pub enum Target<'a> {
     Delay(&'a str),
     /// Offset that is added to a compared output or to an input.
     Offset(&'a str),
+    /// Factor that multiplies a compared output or an input, before the offset is added.
+    Factor(&'a str),
 }
 
 /// Dependence of a parameter on another one: `factor * value + offset`.
@@ -51,8 +53,8 @@ pub struct Tie<'a> {
 #[cfg_attr(feature = "schema", schemars(description = "A parameter to be fitted."))]
 #[serde(default, deny_unknown_fields)]
 pub struct Parameter {
-    /// Name. It is also the variable of the model to set, unless `variables`, `delay_of` or `offset_of` is
-    /// given.
+    /// Name. It is also the variable of the model to set, unless `variables`, `delay_of`, `offset_of` or
+    /// `factor_of` is given.
     name: String,
     /// Start value of the search.
     #[serde(serialize_with = "finite")]
@@ -74,12 +76,16 @@ pub struct Parameter {
     fixed: bool,
     /// Uses a separate value in each experiment.
     local: bool,
+    /// Names of the experiments in which it acts; default: all.
+    experiments: Option<Vec<String>>,
     /// Variables of the model to set.
     variables: Option<Vec<String>>,
     /// The output or input that the parameter delays, in s.
     delay_of: Option<String>,
     /// The output or input that the parameter is added to.
     offset_of: Option<String>,
+    /// The output or input that the parameter multiplies, before an offset is added.
+    factor_of: Option<String>,
     /// The parameter to follow: the value is factor * value + offset.
     tied_to: Option<String>,
     /// Factor of the followed parameter.
@@ -119,9 +125,11 @@ impl Default for Parameter {
             kind: ParameterKind::Continuous,
             fixed: false,
             local: false,
+            experiments: None,
             variables: None,
             delay_of: None,
             offset_of: None,
+            factor_of: None,
             tied_to: None,
             factor: 1.0,
             offset: 0.0,
@@ -209,7 +217,7 @@ impl Parameter {
     #[must_use]
     pub fn variables<N: Into<String>>(self, names: impl IntoIterator<Item = N>) -> Self {
         let variables = Some(names.into_iter().map(Into::into).collect());
-        Self { variables, delay_of: None, offset_of: None, ..self }.normalised()
+        Self { variables, delay_of: None, offset_of: None, factor_of: None, ..self }.normalised()
     }
 
     /// Makes the parameter the delay tau in s of a compared output or of an input. An output `y(t - tau)` is
@@ -218,14 +226,21 @@ impl Parameter {
     /// its first row. The lower bound must be finite. Negative values delay the recording instead.
     #[must_use]
     pub fn delay_of(self, variable: impl Into<String>) -> Self {
-        Self { variables: None, delay_of: Some(variable.into()), offset_of: None, ..self }
+        Self { variables: None, delay_of: Some(variable.into()), offset_of: None, factor_of: None, ..self }
     }
 
     /// Adds the parameter to a compared output or to an input. The name of the parameter can then be chosen
     /// freely.
     #[must_use]
     pub fn offset_of(self, variable: impl Into<String>) -> Self {
-        Self { variables: None, delay_of: None, offset_of: Some(variable.into()), ..self }
+        Self { variables: None, delay_of: None, offset_of: Some(variable.into()), factor_of: None, ..self }
+    }
+
+    /// Multiplies a compared output or an input by the parameter, before an [offset](Self::offset_of) is
+    /// added. The name of the parameter can then be chosen freely.
+    #[must_use]
+    pub fn factor_of(self, variable: impl Into<String>) -> Self {
+        Self { variables: None, delay_of: None, offset_of: None, factor_of: Some(variable.into()), ..self }
     }
 
     /// Sets the unit of its values, bounds and results, if it differs from the unit of the variable. Values
@@ -298,13 +313,31 @@ impl Parameter {
         self
     }
 
+    /// Restricts the parameter to these experiments. In the others, its variables keep the values of the
+    /// model, a start value or another parameter.
+    #[must_use]
+    pub fn experiments<N: Into<String>>(mut self, names: impl IntoIterator<Item = N>) -> Self {
+        self.experiments = Some(names.into_iter().map(Into::into).collect());
+        self
+    }
+
+    /// Returns the experiments in which the parameter acts; `None` for all.
+    pub fn given_experiments(&self) -> Option<&[String]> {
+        self.experiments.as_deref()
+    }
+
+    /// True if the parameter acts in the experiment with this name.
+    pub(crate) fn acts_in(&self, experiment: &str) -> bool {
+        self.experiments.as_ref().is_none_or(|names| names.iter().any(|name| name == experiment))
+    }
+
     /// Returns the parameter that represents a local parameter in one experiment.
     pub(crate) fn in_experiment(&self, experiment: &str, start: Option<f64>) -> Self {
         let name = format!("{}[{experiment}]", self.name);
         let display_name = self.display_name.as_ref().map(|shown| format!("{shown} [{experiment}]"));
         let variables = match self.target() {
             Target::Variables(variables) => Some(variables.to_vec()),
-            Target::Delay(_) | Target::Offset(_) => None,
+            Target::Delay(_) | Target::Offset(_) | Target::Factor(_) => None,
         };
         Self { name, display_name, variables, start: start.or(self.start), local: false, ..self.clone() }
     }
@@ -328,7 +361,7 @@ impl Parameter {
     /// Returns the parameter with a state of the model as its name and target.
     pub(crate) fn for_state(&self, state: &str) -> Self {
         let name = state.to_owned();
-        Self { name, variables: None, delay_of: None, offset_of: None, ..self.clone() }
+        Self { name, variables: None, delay_of: None, offset_of: None, factor_of: None, ..self.clone() }
     }
 
     /// Returns the name. For the value of a local parameter in an experiment, the name of the experiment
@@ -339,29 +372,30 @@ impl Parameter {
 
     /// Returns the target of the parameter.
     pub fn target(&self) -> Target<'_> {
-        match (&self.variables, &self.delay_of, &self.offset_of) {
+        match (&self.variables, &self.delay_of, &self.offset_of, &self.factor_of) {
             (Some(variables), ..) => Target::Variables(variables),
-            (None, Some(variable), _) => Target::Delay(variable),
-            (None, None, Some(variable)) => Target::Offset(variable),
-            (None, None, None) => Target::Variables(std::slice::from_ref(&self.name)),
+            (None, Some(variable), ..) => Target::Delay(variable),
+            (None, None, Some(variable), _) => Target::Offset(variable),
+            (None, None, None, Some(variable)) => Target::Factor(variable),
+            (None, None, None, None) => Target::Variables(std::slice::from_ref(&self.name)),
         }
     }
 
-    /// Returns the variables of the model that the parameter sets; empty for a delay and an offset.
+    /// Returns the variables of the model that the parameter sets; empty for a delay, an offset and a factor.
     pub fn variable_names(&self) -> &[String] {
         match self.target() {
             Target::Variables(names) => names,
-            Target::Delay(_) | Target::Offset(_) => &[],
+            Target::Delay(_) | Target::Offset(_) | Target::Factor(_) => &[],
         }
     }
 
     /// Returns the variable that defines the unit and nominal value: the first variable that the parameter
-    /// sets, or the one that it offsets. Returns `None` for a delay, which is in s.
+    /// sets, or the one that it offsets. Returns `None` for a delay, which is in s, and for a factor.
     pub fn variable(&self) -> Option<&str> {
         match self.target() {
             Target::Variables(names) => names.first().map(String::as_str),
             Target::Offset(variable) => Some(variable),
-            Target::Delay(_) => None,
+            Target::Delay(_) | Target::Factor(_) => None,
         }
     }
 
@@ -380,7 +414,7 @@ impl Parameter {
     pub fn unit<'a>(&'a self, description: &'a ModelDescription) -> Option<&'a str> {
         let of_model = || match self.variable() {
             Some(name) => description.variable(name).and_then(|v| v.unit.as_deref()),
-            None => Some("s"),
+            None => matches!(self.target(), Target::Delay(_)).then_some("s"),
         };
         self.unit.as_deref().or_else(of_model)
     }
@@ -466,10 +500,20 @@ impl Parameter {
                 "variables is empty. Specify the variables that it sets, or omit variables".to_owned()
             );
         }
-        let n_targets = [self.variables.is_some(), self.delay_of.is_some(), self.offset_of.is_some()];
+        let n_targets = [
+            self.variables.is_some(),
+            self.delay_of.is_some(),
+            self.offset_of.is_some(),
+            self.factor_of.is_some(),
+        ];
         if n_targets.into_iter().filter(|is_given| *is_given).count() > 1 {
-            return bad("variables, delay_of and offset_of exclude each other. Specify at most one of them"
-                .to_owned());
+            return bad(
+                "variables, delay_of, offset_of and factor_of exclude each other. Specify at most one of them"
+                    .to_owned(),
+            );
+        }
+        if let (Target::Factor(_), Some(unit)) = (self.target(), &self.unit) {
+            return bad(format!("is a factor, which has no unit, but unit is '{unit}'. Omit unit"));
         }
         if let Some(tie) = self.tie() {
             return self.check_tie(tie);

@@ -39,7 +39,9 @@ pub(crate) fn check_targets(
         Err(CalibrationError::Parameter { name: parameter.name().to_owned(), message })
     };
     for (i, parameter) in parameters.iter().enumerate() {
-        let earlier = &parameters[..i];
+        let shares =
+            |other: &&Parameter| names.iter().any(|name| other.acts_in(name) && parameter.acts_in(name));
+        let earlier = || parameters[..i].iter().filter(shares);
         match parameter.target() {
             Target::Variables(variables) => {
                 for (j, variable) in variables.iter().enumerate() {
@@ -53,7 +55,7 @@ pub(crate) fn check_targets(
                     }
                     let sets =
                         |p: &&Parameter| p.variable_names().iter().any(|v| is_same(description, v, variable));
-                    if let Some(other) = earlier.iter().find(sets) {
+                    if let Some(other) = earlier().find(sets) {
                         let message = format!(
                             "sets the variable '{variable}', which parameter '{}' also sets. Remove one of them",
                             other.name()
@@ -62,9 +64,13 @@ pub(crate) fn check_targets(
                     }
                 }
             }
-            Target::Delay(variable) | Target::Offset(variable) => {
-                let what = if matches!(parameter.target(), Target::Delay(_)) { "delay" } else { "offset" };
-                if let Some(other) = earlier.iter().find(|p| p.target() == parameter.target()) {
+            Target::Delay(variable) | Target::Offset(variable) | Target::Factor(variable) => {
+                let what = match parameter.target() {
+                    Target::Delay(_) => "delay",
+                    Target::Factor(_) => "factor",
+                    _ => "offset",
+                };
+                if let Some(other) = earlier().find(|p| p.target() == parameter.target()) {
                     return bad(
                         parameter,
                         format!(
@@ -73,7 +79,8 @@ pub(crate) fn check_targets(
                         ),
                     );
                 }
-                let missing = experiments.iter().position(|e| !e.shifts(variable));
+                let mut acting = experiments.iter().zip(names);
+                let missing = acting.position(|(e, name)| parameter.acts_in(name) && !e.shifts(variable));
                 let is_anywhere = experiments.iter().any(|e| e.shifts(variable));
                 if let Some(k) = missing.filter(|_| parameter.is_local() || !is_anywhere) {
                     let of = if experiments.len() > 1 { format!(" of {}", names[k]) } else { String::new() };

@@ -11,7 +11,7 @@ use fmi::description::VariableKind;
 /// Replaces the rows of a recording by means if the experiment specifies an interval. Weights of rows that
 /// declare noise become weights of the means: the root of the sum of their squares. Weights that are only 0
 /// and 1 select the rows to average. Columns that drive inputs with discrete values (Boolean, integer) are
-/// not averaged: they keep their values and the times of their changes.
+/// not averaged: they keep their values and the times of their changes. The same applies to held inputs.
 ///
 /// # Errors
 /// Returns the errors of [`Data::resampled`](crate::Data::resampled). Returns an error if weights are
@@ -46,7 +46,7 @@ pub(crate) fn take_means(
     };
     let held: Vec<Option<usize>> = experiment
         .driving_columns()
-        .filter(|(input, _)| is_held(input))
+        .filter(|(input, _)| is_held(input) || experiment.holds(input))
         .map(|(_, column)| place(column))
         .collect();
     let of_output: Vec<Option<usize>> =

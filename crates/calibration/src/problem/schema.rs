@@ -1,6 +1,7 @@
 //! JSON schemas of fields that the records of a problem accept in several forms.
 
 use crate::problem::experiment::OutputScale;
+use crate::problem::input::ColumnRecord;
 use crate::problem::objective::CostKind;
 use crate::problem::parameter::Parameter;
 use fmi::worker::Isolation;
@@ -33,6 +34,8 @@ untagged! {
     ModelValue { Truth(bool), Number(f64), Text(String), Array(Vec<ModelValue>) }
     /// Start values, or the path of a file that contains them.
     StartValues { File(String), Each(Pairs<ModelValue>) }
+    /// Source of an input that is not a number.
+    InputRecord { Column(String), Settings(ColumnRecord) }
     /// Initial value of a state that is not a number.
     InitialStateRecord { Word(Measured), Fitted(Parameter) }
 }

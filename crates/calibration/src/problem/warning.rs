@@ -63,6 +63,15 @@ pub enum SetupWarning {
         /// Description of the change.
         change: ClockChange,
     },
+    /// Rows repeat the time and all measured values of the row before.
+    DuplicateRows {
+        /// The recording.
+        data: String,
+        /// Number of such rows.
+        n: usize,
+        /// Time of the first one, in s.
+        time: f64,
+    },
     /// A setting is ignored; the sentence gives the setting and the reason.
     NoEffect(String),
     /// A warning applies to one of several experiments.
@@ -137,6 +146,16 @@ impl SetupWarning {
             Self::ClockChange { data, change } => {
                 finding(FindingId::ClockChange, data, change.symptom(), change.remedy())
             }
+            Self::DuplicateRows { data, n, time } => finding(
+                FindingId::DuplicateRows,
+                data,
+                format!(
+                    "number of rows with the time and all measured values of the row before: {n}, the first at {} s. Their \
+                     measurements count twice",
+                    Number(*time)
+                ),
+                "Remove the rows unless they are separate measurements".to_owned(),
+            ),
             Self::NoEffect(sentence) => {
                 finding(FindingId::SettingWithoutEffect, "", sentence.clone(), String::new())
             }
@@ -164,7 +183,7 @@ pub(crate) fn unused_columns(description: &ModelDescription, experiment: &Experi
     let Experiment { data, outputs, inputs, start_values, .. } = experiment;
     let is_used = |column: &str| {
         let weighs = |weight: &Weight| weight.column() == Some(column);
-        let drives = |source: &InputSource| matches!(source, InputSource::Column(used) if used == column);
+        let drives = |source: &InputSource| source.column() == Some(column);
         outputs.iter().any(|o| o.column == column || weighs(&o.weight))
             || inputs.iter().any(|(_, source)| drives(source))
     };
@@ -186,6 +205,19 @@ pub(crate) fn unused_columns(description: &ModelDescription, experiment: &Experi
         Some(SetupWarning::UnusedColumn { data, column: column.to_owned(), input })
     };
     data.all_names().filter(|column| !is_used(column)).filter_map(warning).collect()
+}
+
+/// Returns a warning if rows repeat the time and all measured values of the row before.
+pub(crate) fn duplicate_rows(experiment: &Experiment) -> Option<SetupWarning> {
+    let (data, time) = (&experiment.data, experiment.data.time());
+    let columns: Vec<&[f64]> =
+        experiment.outputs.iter().filter_map(|output| data.column(&output.column).ok()).collect();
+    let is_duplicate = |row: &usize| {
+        time[*row] == time[row - 1] && columns.iter().all(|values| values[*row] == values[row - 1])
+    };
+    let rows: Vec<usize> = (1..time.len()).filter(is_duplicate).collect();
+    let first = time[*rows.first().filter(|_| !columns.is_empty())?];
+    Some(SetupWarning::DuplicateRows { data: data.source().to_owned(), n: rows.len(), time: first })
 }
 
 /// Returns a warning if an hour is missing or repeated in the times of a recording.

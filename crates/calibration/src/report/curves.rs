@@ -7,7 +7,7 @@ use crate::cost::parallel;
 use crate::error::CalibrationError;
 use crate::fit::one_stage::Fit;
 use crate::loaded::calibration::Calibration;
-use crate::problem::input::InputSource;
+use crate::problem::input::{InputSource, hold};
 use crate::problem::residual_layout::OutputResiduals;
 use base::RunContext;
 use fmi::Trajectory;
@@ -128,9 +128,13 @@ impl Calibration {
             let experiment = &self.problem().experiments[k];
             let own = layout.outputs.iter().filter(|series| series.experiment == k);
             let input = |(variable, source): &(String, InputSource)| {
-                let InputSource::Column(column) = source else { return None };
-                let values = experiment.data.column(column).ok()?;
-                Some(self.signal(variable, experiment.data.time(), values))
+                let (times, values) =
+                    (experiment.data.time(), experiment.data.column(source.column()?).ok()?);
+                if let InputSource::Held(_) = source {
+                    let (times, values) = hold(times, values);
+                    return Some(self.signal(variable, &times, &values));
+                }
+                Some(self.signal(variable, times, values))
             };
             let inputs = experiment.inputs.iter().filter_map(input).collect();
             Ok(ExperimentCurves {

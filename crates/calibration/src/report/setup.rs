@@ -112,6 +112,7 @@ fn output(Measured { variable, column, weight }: &Measured) -> String {
 fn input(variable: &str, source: &InputSource) -> String {
     match source {
         InputSource::Column(column) => format!("{variable} driven by column {column}"),
+        InputSource::Held(column) => format!("{variable} driven by column {column}, held between rows"),
         InputSource::Constant(value) => format!("{variable} = {}", Number(*value)),
         InputSource::Function(_) => format!("{variable} driven by a function of time"),
     }

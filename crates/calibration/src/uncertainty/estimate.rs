@@ -11,6 +11,7 @@ use crate::uncertainty::covariance::joint::JointMatrices;
 use crate::uncertainty::covariance::matrix::Factors;
 use crate::uncertainty::covariance::noise::{Noise, groups};
 use crate::uncertainty::covariance::remaining_decrease::At;
+use crate::uncertainty::diagnostics::lack_of_fit::LackOfFit;
 use crate::uncertainty::diagnostics::prior_check::PriorConflict;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
 use crate::uncertainty::differences::{Center, Differences};
@@ -299,6 +300,7 @@ impl Calibration {
             has_loss: !is_linear && known.criterion != Criterion::Likelihood,
             jacobian: of_all(&jacobian, x.len(), &free, &per_unit, context)?,
             residual_checks: self.residual_checks(residuals, &by_starts, context)?,
+            lack_of_fit: LackOfFit::new(layout, residuals, noise.degrees_of_freedom),
             residuals: at_center.residuals.clone(),
             ..self.nothing_known(x, estimator)
         };

@@ -3,6 +3,7 @@
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, table};
 use crate::findings::shown_text::{digits, visible_line};
+use crate::uncertainty::diagnostics::lack_of_fit::LackOfFit;
 use crate::uncertainty::diagnostics::prior_check::PriorConflict;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
 use crate::uncertainty::differences::ResidualBend;
@@ -138,6 +139,9 @@ pub struct Uncertainty {
     pub effective_degrees_of_freedom: Vec<f64>,
     /// Checks of the residuals of each output of each experiment, in the order of the residual vector.
     pub residual_checks: Vec<ResidualCheck>,
+    /// Test against the pure error of replicates; `None` without replicates.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lack_of_fit: Option<LackOfFit>,
     /// Number of measurements minus the number of parameters that they determine. The latter is the trace of
     /// the projection onto the changes due to the parameters, over the residuals of the measurements. Without
     /// priors, it is the number of parameters that are not held. A parameter whose prior is as precise as the

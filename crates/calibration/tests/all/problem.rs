@@ -240,7 +240,7 @@ fn experiment_from_record_equals_experiment_from_methods() {
     let asked = |json: &str| Experiment::from_record(&record(json), folder.path(), &RunContext::new());
     let given = asked(
         r#"{"name": "cold", "data": "run.csv", "time": "t", "outputs": [["y", "b"], ["x", "a"]], "weights": {"x": 2},
-            "inputs": {"u": "u", "v": 3}, "start_values": {"n": 3, "on": true}, "windows": [[0, 1], [2, 4]], "warm_up": 0.5,
+            "inputs": {"u": "u", "v": 3, "w": {"column": "u", "hold": true}}, "start_values": {"n": 3, "on": true}, "windows": [[0, 1], [2, 4]], "warm_up": 0.5,
             "initial_states": {"p": "measured", "q": 1, "r": {"start": 1, "lower": 0, "upper": 2}},
             "mask": "valid", "delays": {"x": 0.1}, "hold_inputs": true}"#,
     )
@@ -254,6 +254,7 @@ fn experiment_from_record_equals_experiment_from_methods() {
         .weighted_output("x", "a", 2.0)
         .input("u", "u")
         .constant_input("v", 3.0)
+        .held_input("w", "u")
         .start_value("n", 3u8)
         .start_value("on", true)
         .initial_state("p", calibration::InitialState::Measured)
@@ -279,7 +280,8 @@ fn experiment_from_record_equals_experiment_from_methods() {
             "unknown output for the weight 'xx'; expected one of: x",
         ),
         (r#"{"data": "run.csv", "outputs": ["x"], "weights": "rnge"}"#, "'range'"),
-        (r#"{"data": "run.csv", "inputs": {"u": [1]}}"#, "must be the name of a column, or a number"),
+        (r#"{"data": "run.csv", "inputs": {"u": [1]}}"#, "must be the name of a column, { column = "),
+        (r#"{"data": "run.csv", "inputs": {"u": {"hodl": true}}}"#, "did you mean 'hold'?"),
         (
             r#"{"data": "run.csv", "time": "t", "initial_states": {"x": "recorded"}}"#,
             "a number, 'measured', or a parameter",

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from . import compat, dfo, fmi, ode
     from ._calibration.calibration import Calibration
     from ._calibration.check import Check, Finding
-    from ._calibration.experiment import Experiment
+    from ._calibration.experiment import Experiment, Hold
     from ._calibration.export import load_fit
     from ._calibration.fit import ChosenTolerance, Fit, FitNoise, OutputFit
     from ._calibration.parameter import LogNormal, Normal, Parameter
@@ -66,7 +66,7 @@ _HOMES = {
     "_calibration.check": "Check Finding",
     "_model.description": "Description Variable read_description",
     "_errors": "AllStartsFailed BadCalibrationError BadModelValueError CalibrationError CalibrationWarning CheckpointError FmuError Interrupted ModelTypeError NoResult PydfoError SimulationError SimulationWarning UnknownVariableError",
-    "_calibration.experiment": "Experiment",
+    "_calibration.experiment": "Experiment Hold",
     "_model.files": "build_fmu clear_caches example_fmu",
     "_calibration.fit": "ChosenTolerance Fit FitNoise OutputFit",
     "_optimize.fmin": "fmin",
@@ -111,6 +111,7 @@ __all__ = [
     "FitNoise",
     "FmuError",
     "Fold",
+    "Hold",
     "Interrupted",
     "LeastSquaresResult",
     "Limits",

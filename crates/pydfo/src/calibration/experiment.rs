@@ -41,6 +41,12 @@ pub(crate) fn check_parameter(py: Python<'_>, given: PyRecord) -> PyResult<Bound
     object::fields(py, &record)
 }
 
+/// True if a weight of this name is the inverse of a scale of the measurements, not a column.
+#[pyfunction]
+pub(crate) fn is_output_scale(name: &str) -> bool {
+    OutputScale::named(name).is_ok()
+}
+
 /// `pydfo.Experiment`, field by field.
 #[derive(FromPyObject)]
 pub(crate) struct ExperimentFields {
@@ -117,6 +123,8 @@ enum InputFields {
     #[pyo3(transparent)]
     Column(String),
     #[pyo3(transparent)]
+    Held((String,)),
+    #[pyo3(transparent)]
     Constant(f64),
     #[pyo3(transparent)]
     Function(Py<PyAny>),
@@ -191,13 +199,12 @@ impl ExperimentFields {
     fn columns(&self) -> Vec<String> {
         let measured = self.outputs.iter().map(|(_, column, _)| column);
         let weights = self.outputs.iter().filter_map(|(_, _, weight)| match weight {
-            WeightFields::Column(column) | WeightFields::Known((_, SigmaFields::Column(column))) => {
-                Some(column)
-            }
+            WeightFields::Column(name) if !is_output_scale(name) => Some(name),
+            WeightFields::Known((_, SigmaFields::Column(column))) => Some(column),
             _ => None,
         });
         let driving = self.inputs.iter().filter_map(|(_, source)| match source {
-            InputFields::Column(column) => Some(column),
+            InputFields::Column(column) | InputFields::Held((column,)) => Some(column),
             _ => None,
         });
         measured.chain(weights).chain(driving).chain(&self.mask_column).cloned().collect()
@@ -235,7 +242,7 @@ impl ExperimentFields {
         for (variable, column, weight) in self.outputs {
             let weight = match weight {
                 WeightFields::Constant(weight) => Weight::Constant(weight),
-                WeightFields::Column(column) => Weight::Column(column),
+                WeightFields::Column(name) => Weight::named(&name),
                 WeightFields::Inverse((name,)) => Weight::Inverse(OutputScale::named(&name)?),
                 WeightFields::Known((_, SigmaFields::Constant(sigma))) => Sigma::Constant(sigma).into(),
                 WeightFields::Known((_, SigmaFields::Column(column))) => Sigma::Column(column).into(),
@@ -248,6 +255,7 @@ impl ExperimentFields {
         for (variable, source) in self.inputs {
             experiment = match source {
                 InputFields::Column(column) => experiment.input(variable, column),
+                InputFields::Held((column,)) => experiment.held_input(variable, column),
                 InputFields::Constant(value) => experiment.constant_input(variable, value),
                 InputFields::Function(_) => match functions.next() {
                     Some((_, callback)) => experiment.function_input(variable, move |t| callback.value(t, 0)),

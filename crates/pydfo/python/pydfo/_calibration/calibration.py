@@ -77,7 +77,8 @@ class Calibration(Evaluation):
         A CSV file has one line of names, optionally followed by a line of units. The separators are commas,
         semicolons or tabs. If the separator is not a comma, all numbers may have decimal commas. A file with both
         decimal commas and points is rejected. Other formats are ``.mat`` (read by SciPy, or by h5py for version 7.3),
-        ``.xlsx`` (openpyxl; the first sheet, like a CSV file) and ``.parquet`` (pyarrow). In a ``.mat`` file, every
+        ``.xlsx`` (openpyxl; a `sheet`, like a CSV file), ``.parquet`` (pyarrow) and ``.h5`` (tables of pandas; pandas
+        and PyTables). In a ``.mat`` file, every
         variable as long as the times is a column. Fields of structs are named ``rig.x``, and the columns of a matrix
         ``y[1]``, ``y[2]``.
 
@@ -98,8 +99,8 @@ class Calibration(Evaluation):
         experiment.
     inputs : dict, or list of str, optional
         Maps inputs of the model to the columns that drive them. Continuous inputs are interpolated linearly between
-        the rows; other inputs are held constant. A time that occurs twice is a jump. Values of a dict may also be
-        numbers or functions of time, see `Experiment`.
+        the rows, unless the column is given as `Hold`; other inputs are held constant. A time that occurs twice is a
+        jump. Values of a dict may also be numbers or functions of time, see `Experiment`.
     window : (float, float), optional
         Interval of time in s. Only measurements in this interval count. The simulation still starts at its start
         time.
@@ -125,7 +126,7 @@ class Calibration(Evaluation):
     resample : float, optional
         Interval in s, at least the sampling interval of the recording. Times and columns are replaced by their means
         over each interval, excluding masked rows. The weights become weights of the means, see `Experiment`.
-    initial_states, windows, warm_up, delays, hold_inputs : optional
+    sheet, initial_states, windows, warm_up, delays, hold_inputs : optional
         Settings of the single recording, as in `Experiment`.
     simulation : Simulation or dict, optional
         Solver, tolerance, steps and time limit of the simulations, see `Simulation`. Its settings are also accepted
@@ -169,6 +170,7 @@ class Calibration(Evaluation):
         start_values: Mapping[str, Any] | str | os.PathLike[str] | None = None,
         start_time: SupportsFloat | None = None,
         time: str | None = None,
+        sheet: str | None = None,
         units: Mapping[str, str] | None = None,
         mask: Any = None,
         resample: SupportsFloat | None = None,
@@ -193,6 +195,7 @@ class Calibration(Evaluation):
             "start_values": start_values,
             "start_time": start_time,
             "time": time,
+            "sheet": sheet,
             "initial_states": initial_states,
             "windows": windows,
             "warm_up": warm_up,

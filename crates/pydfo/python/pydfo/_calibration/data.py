@@ -33,9 +33,9 @@ class Table:
     time: str | None
 
 
-def read(data: Any, needed: list[str], time: str | None) -> Table:
+def read(data: Any, needed: list[str], time: str | None, sheet: str | None = None) -> Table:
     """Returns the path of a CSV file, or the columns of another file or of a table in memory; `time` is the time
-    column.
+    column, `sheet` the sheet of a workbook or the table of an HDF5 file.
 
     Raises
     ------
@@ -46,29 +46,39 @@ def read(data: Any, needed: list[str], time: str | None) -> Table:
     BadCalibrationError
         There is no time column, or a required column is missing or contains text.
     """
+    suffix = _data_files.suffix(os.fspath(data)) if isinstance(data, (str, os.PathLike)) else None
+    if sheet is not None and suffix not in (".xlsx", ".xlsm", *_HDF5):
+        raise BadCalibrationError(f"sheet = {sheet!r} requires a workbook (.xlsx) or the tables of pandas in an HDF5 file (.h5)")
     if not isinstance(data, (str, os.PathLike)):
         columns = _columns(data)
         return _selected(_data_files.Columns(list(columns), lambda names: columns), needed, time)
     path = os.fspath(data)
-    match _data_files.suffix(path):
+    match suffix:
         case ".parquet" | ".pq":
             return _selected(_data_files.parquet(path), needed, time)
         case ".mat":
             return _selected(_data_files.mat(path, needed, time), needed, time)
         case ".xlsx" | ".xlsm":
-            text, others = _data_files.workbook(path, needed, time)
+            text, others = _data_files.workbook(path, needed, time, sheet)
             return Table(None, _core.Table.from_csv(text, path, time, needed, others), None)
-        case ".xls" | ".ods" | ".feather" | ".h5" | ".hdf5" | ".pkl" | ".json" | ".npy" | ".npz" as other:
+        case ".h5" | ".hdf" | ".hdf5":
+            columns = _columns(_data_files.hdf5(path, sheet))
+            return _selected(_data_files.Columns(list(columns), lambda names: columns), needed, time)
+        case ".xls" | ".ods" | ".feather" | ".pkl" | ".json" | ".npy" | ".npz" as other:
             raise BadCalibrationError(
-                f"data: {path}: {other} files are not supported; expected CSV, .mat, .parquet or .xlsx. Read the file with a library, and "
+                f"data: {path}: {other} files are not supported; expected CSV, .mat, .parquet, .xlsx or .h5. Read the file with a library, and "
                 "pass a dict of arrays or a DataFrame"
             )
     return Table(path, None, time)
 
 
-def read_recording(data: Any, needed: list[str], time: str | None) -> Table:
+#: Suffixes of HDF5 files with tables of pandas.
+_HDF5 = (".h5", ".hdf", ".hdf5")
+
+
+def read_recording(data: Any, needed: list[str], time: str | None, sheet: str | None = None) -> Table:
     """Like `read`, for data compared with a model: also records the name of the file for the fit."""
-    found = read(data, needed, time)
+    found = read(data, needed, time, sheet)
     if found.table is not None and isinstance(data, (str, os.PathLike)):
         return Table(None, found.table.of_file(os.fspath(data)), None)
     return found

@@ -11,6 +11,7 @@ import math
 import os
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -21,7 +22,7 @@ import numpy.typing as npt
 
 from .. import _core
 from .._args import text as _text
-from .._errors import BadCalibrationError
+from .._errors import BadCalibrationError, CalibrationWarning
 from . import matlab_reader
 from .worker import interpreter
 
@@ -135,9 +136,49 @@ def _with_polars(path: str) -> Columns:
     return Columns(names, read)
 
 
-def workbook(path: str, needed: list[str], time: str | None) -> tuple[bytes, list[str]]:
-    """Returns the required columns of the first sheet of an Excel workbook as CSV text, and the names of the other
-    columns."""
+def hdf5(path: str, key: str | None) -> Any:
+    """Returns a table that pandas has written to an HDF5 file."""
+    _core.check_regular(path)
+    pandas = _library(path, ["pandas"])
+    try:
+        importlib.import_module("tables")
+    except ImportError:
+        raise ImportError(f"{path}: reading {suffix(path)} files requires PyTables; install it with pip install tables") from None
+    with _reading(path, "an HDF5 file with tables of pandas"), pandas.HDFStore(path, mode="r") as store:
+        keys = [name.strip("/") for name in store]
+        if key is None and len(keys) > 1:
+            raise BadCalibrationError(f"{path}: the file contains several tables; specify one with sheet=, expected one of: {_text.listed(keys)}")
+        if key is not None and key.strip("/") not in keys:
+            raise BadCalibrationError(f"{path}: table {key!r} not found; expected one of: {_text.listed(keys)}")
+        return store[keys[0] if key is None else key]
+
+
+def sheets(path: str) -> list[str]:
+    """Returns the names of the sheets of an Excel workbook that are not empty."""
+    _core.check_regular(path)
+    module = _library(path, ["openpyxl"])
+    with _reading(path, "an Excel workbook (.xlsx)"):
+        book = module.load_workbook(path, read_only=True, data_only=True)
+        try:
+            return _sheets(book)
+        finally:
+            book.close()
+
+
+def _sheets(book: Any) -> list[str]:
+    """Returns the names of the sheets with at least one value in their first rows."""
+    names = []
+    for sheet in book.worksheets:
+        sheet.reset_dimensions()
+        if any(cell is not None for row in sheet.iter_rows(max_row=100, values_only=True) for cell in row):
+            names.append(sheet.title)
+    return names
+
+
+def workbook(path: str, needed: list[str], time: str | None, sheet_name: str | None = None) -> tuple[bytes, list[str]]:
+    """Returns the required columns of a sheet of an Excel workbook as CSV text, and the names of the other columns.
+
+    Without a name, the first sheet is read, with a warning if there are others."""
     _core.check_regular(path)
     import csv
     import zipfile
@@ -154,7 +195,17 @@ def workbook(path: str, needed: list[str], time: str | None) -> tuple[bytes, lis
             raise MemoryError(f"{path}: the strings and formats of this workbook require {kept} bytes, more than {_MOST_TEXT}")
         book = module.load_workbook(path, read_only=True, data_only=True)
         try:
-            sheet = book.worksheets[0]
+            titles = [sheet.title for sheet in book.worksheets]
+            if sheet_name is not None and sheet_name not in titles:
+                raise BadCalibrationError(f"{path}: sheet {sheet_name!r} not found; expected one of: {_text.listed(titles)}")
+            if sheet_name is None and len(filled := _sheets(book)) > 1:
+                warnings.warn(
+                    f"{path}: the workbook has several sheets: {_text.listed(filled)}. The first one is read; specify one with sheet=, or "
+                    "read one recording per sheet with Experiment.of_sheets",
+                    CalibrationWarning,
+                    stacklevel=2,
+                )
+            sheet = book.worksheets[0 if sheet_name is None else titles.index(sheet_name)]
             # The size that a sheet declares is not reliable.
             sheet.reset_dimensions()
             for row in sheet.iter_rows(max_row=_MOST_ROWS, values_only=True):

@@ -17,12 +17,38 @@ from .._args import values as _values
 from .._args.keywords import explained
 from .._errors import BadCalibrationError
 from . import data as _data
+from . import data_files as _data_files
 from .parameter import Parameter
 
 Names = Mapping[str, str] | Sequence[str] | str
-#: Source of an input: a column, a number or a function of time.
-Source = str | float | Callable[[float], float]
-Inputs = Mapping[str, Source] | Sequence[str] | str
+
+
+@dataclass(frozen=True)
+class Hold:
+    """A column that drives an input, with its values held between the rows (zero-order hold).
+
+    Use it for actuators that switch. Without it, the rows of a continuous input are connected by straight lines.
+
+    Parameters
+    ----------
+    column : str
+        Name of the column.
+
+    Examples
+    --------
+    >>> Hold("power")
+    Hold(column='power')
+    """
+
+    column: str
+
+    def __post_init__(self) -> None:
+        _values.choice("column", self.column)
+
+
+#: Source of an input: a column (in a tuple if it is held), a number or a function of time.
+Source = str | tuple[str] | float | Callable[[float], float]
+Inputs = Mapping[str, str | Hold | float | Callable[[float], float]] | Sequence[str] | str
 #: Factor of residuals: a number, a column, numbers per row (the bytes of float64 values), the name of a scale, or
 #: "sigma" and a standard deviation.
 Weight = float | str | bytes | tuple[str] | tuple[str, Any]
@@ -42,7 +68,8 @@ class Experiment:
     outputs : dict of str to str, or list of str
         Maps outputs of the model to the columns that measured them.
     inputs : dict, or list of str, optional
-        Source of each input and tunable parameter of the model: a column, a number (constant), or a function of time.
+        Source of each input and tunable parameter of the model: a column, a column whose values are held between the
+        rows (`Hold`), a number (constant), or a function of time.
         A function must be smooth and deterministic. To pickle the calibration, the function must be importable.
     window : (float, float), optional
         Interval of time in s. Only measurements in this interval count. Equivalent to a single entry of `windows`.
@@ -50,8 +77,9 @@ class Experiment:
         Factor of the residuals of each output: a number, or one number per measurement, as a column or as an array as
         long as the recording. An array of Booleans is a mask. Measurements with weight 0 do not count. Weights refer
         to the unit of the column and are converted with it. A weight of 1, and weights of only 0 and 1, state no
-        noise and are not converted. "range", "mean" or "sd" weights each output with the inverse of the range, mean
-        or standard deviation of its measurements in the whole recording.
+        noise and are not converted. Where a measurement is missing, its weight may be missing (NaN). "range", "mean"
+        or "sd", for all outputs or for one, is the inverse of the range, mean or standard deviation of the
+        measurements in the whole recording; it takes precedence over a column with this name.
     sigma : number, column or dict, optional
         Known standard deviation of the noise of each output, which replaces its weight: a number, the name of a column
         or one value per measurement. A dict specifies it per output; otherwise it applies to all outputs. The weight is
@@ -65,6 +93,9 @@ class Experiment:
         Start time of the simulation in s.
     time : str, optional
         Name of the time column if it is not ``time``.
+    sheet : str, optional
+        Sheet of a workbook, or table of an HDF5 file. Without it, the first sheet is read, with a warning if there
+        are others.
     mask : array of bool or str, optional
         Selects the rows whose measurements count. Pass one entry per row, or the name of a column, which selects a
         row if its value is neither 0 nor missing. Inputs count in all rows.
@@ -155,6 +186,7 @@ class Experiment:
         hold_inputs: bool = False,
         mask: Any = None,
         resample: SupportsFloat | None = None,
+        sheet: str | None = None,
     ) -> None:
         put = object.__setattr__
         put(self, "name", None if name is None else _values.choice("name", name))
@@ -162,13 +194,14 @@ class Experiment:
             pairs = pairs_of_columns("outputs", outputs)
             driven = sources(inputs)
             named = None if time is None else _values.choice("time", time)
+            chosen = None if sheet is None else _values.choice("sheet", sheet)
             weighed = with_sigma(weighted(pairs, weights), sigma)
             columns = [column for _, column in pairs]
-            columns += [source for _, source in driven if isinstance(source, str)]
+            columns += [source if isinstance(source, str) else source[0] for _, source in driven if isinstance(source, (str, tuple))]
             columns += [column for _, _, weight in weighed if (column := _column_of(weight)) is not None]
             rows, by = _data.mask(mask)
             try:
-                table = _data.read_recording(data, columns + ([] if by is None else [by]), named)
+                table = _data.read_recording(data, columns + ([] if by is None else [by]), named, chosen)
             except BadCalibrationError as e:
                 turned = [pair for pair in pairs if f"column '{pair[1]}' not" in str(e) and f"'{pair[0]}'" in str(e).partition("available")[2]]
                 if not turned:
@@ -195,6 +228,20 @@ class Experiment:
             given = _values.pairs("delays", delays)
             put(self, "delays", [(variable, _values.number("delays", delay)) for variable, delay in given])  # type: ignore[arg-type]
             put(self, "hold_inputs", _values.flag("hold_inputs", hold_inputs))
+
+    @classmethod
+    def of_sheets(cls, data: str | os.PathLike[str], outputs: Names, inputs: Inputs | None = None, **settings: Any) -> list[Experiment]:
+        """Returns one experiment per sheet of a workbook, named after the sheet. Empty sheets are skipped.
+
+        Parameters
+        ----------
+        data : path
+            The workbook (.xlsx).
+        outputs, inputs, **settings
+            As in `Experiment`, the same for all sheets.
+        """
+        names = _data_files.sheets(os.fspath(data))
+        return [cls(data, outputs, inputs, **{"name": name, **settings, "sheet": name}) for name in names]
 
     def __repr__(self) -> str:
         source = self.path if self.table is None else f"{len(self.table)} rows"
@@ -266,13 +313,15 @@ def pairs_of_columns(name: str, value: Mapping[str, str] | Sequence[str] | str |
 
 
 def sources(given: Inputs | None) -> list[tuple[str, Source]]:
-    """Returns inputs with their sources: a column, a number or a function of time."""
+    """Returns inputs with their sources: a column (in a tuple if it is held), a number or a function of time."""
     if not isinstance(given, Mapping):
         return list(pairs_of_columns("inputs", given))
     driven: list[tuple[str, Source]] = []
     for variable, value in _values.pairs("inputs", given):
         source: Any = value
-        if not isinstance(source, str) and not callable(source):
+        if isinstance(source, Hold):
+            source = (source.column,)
+        elif not isinstance(source, str) and not callable(source):
             if np.ndim(source) > 0:
                 raise TypeError(
                     f"inputs: '{_text.line(variable)}' must be driven by a column, a number or a function of time, not by an array. Add the array to the "
@@ -352,8 +401,10 @@ def with_sigma(
 
 def _column_of(weight: Weight) -> str | None:
     """Returns the column of a weight or of a standard deviation, if any."""
-    value = weight[-1] if isinstance(weight, tuple) and len(weight) == 2 else weight
-    return value if isinstance(value, str) else None
+    if isinstance(weight, tuple):
+        value = weight[1] if len(weight) == 2 else None
+        return value if isinstance(value, str) else None
+    return weight if isinstance(weight, str) and not _core.is_output_scale(weight) else None
 
 
 def _weight(variable: str, weight: Any, name: str = "weights") -> Weight:

@@ -78,7 +78,7 @@ class Parameter:
     ----------
     name : str
         Name of a parameter of the model, or of a variable whose start value is fitted, such as a state. With
-        `variables`, `delay_of` or `offset_of`, any name is allowed.
+        `variables`, `delay_of`, `offset_of` or `factor_of`, any name is allowed.
     start : float
         Start value of the fit, in the model's unit or in `unit`. A tied parameter has no start value.
     lower, upper : float, optional
@@ -100,6 +100,9 @@ class Parameter:
     local : bool
         If True, each experiment has a separate value, ``T0[run1]``, ``T0[run2]``, instead of one for all. If the
         `start_values` of an `Experiment` include the parameter, its search starts there.
+    experiments : list of str, optional
+        Names of the experiments in which the parameter acts. In the others, its variables keep the value of the
+        model, a start value, or the value of another parameter; default: all.
     variables : list of str, optional
         Variables of the model that the parameter sets, all to one value.
     delay_of : str, optional
@@ -108,6 +111,9 @@ class Parameter:
         parameter requires a finite lower bound.
     offset_of : str, optional
         Compared output or input to which the parameter is added.
+    factor_of : str, optional
+        Compared output or input that the parameter multiplies, before an offset is added: a calibration factor of a
+        sensor, or a scaling factor of PEtab and PyBNF.
     tied_to : str, optional
         Name of another parameter that determines this one: its value is ``factor * other + offset``. The tied
         parameter is not an entry of ``x``. Bounds, prior and similar settings are those of the other parameter.
@@ -153,9 +159,11 @@ class Parameter:
     kind: str
     fixed: bool
     local: bool
+    experiments: tuple[str, ...] | None
     variables: tuple[str, ...] | None
     delay_of: str | None
     offset_of: str | None
+    factor_of: str | None
     tied_to: str | None
     factor: float
     offset: float
@@ -177,9 +185,11 @@ class Parameter:
         kind: Literal["continuous", "integer", "categorical"] = "continuous",
         fixed: bool = False,
         local: bool = False,
+        experiments: Sequence[str] | str | None = None,
         variables: Sequence[str] | str | None = None,
         delay_of: str | None = None,
         offset_of: str | None = None,
+        factor_of: str | None = None,
         tied_to: str | None = None,
         factor: float = 1.0,
         offset: float = 0.0,
@@ -191,6 +201,7 @@ class Parameter:
         if prior is not None and not isinstance(prior, (Normal, LogNormal)):
             raise TypeError(f"prior must be pydfo.Normal(mean, sd) or pydfo.LogNormal(median, sigma), not {show(prior)}")
         listed = [variables] if isinstance(variables, str) else variables
+        acting = [experiments] if isinstance(experiments, str) else experiments
         asked: Record = {
             "name": name,
             "start": start,
@@ -201,9 +212,11 @@ class Parameter:
             "kind": kind,
             "fixed": fixed,
             "local": local,
+            "experiments": None if acting is None else names("experiments", acting),
             "variables": None if listed is None else names("variables", listed),
             "delay_of": delay_of,
             "offset_of": offset_of,
+            "factor_of": factor_of,
             "tied_to": tied_to,
             "factor": factor,
             "offset": offset,
@@ -214,6 +227,7 @@ class Parameter:
         }
         checked = _core.check_parameter(asked)
         checked.update(prior=prior, variables=None if listed is None else tuple(asked["variables"]))
+        checked.update(experiments=None if acting is None else tuple(asked["experiments"]))
         checked.update(lower=-np.inf if checked["lower"] is None else checked["lower"])
         checked.update(upper=np.inf if checked["upper"] is None else checked["upper"])
         for field, value in checked.items():
