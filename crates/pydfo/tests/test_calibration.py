@@ -513,7 +513,7 @@ def test_furuta_costs_match_reference(measured):
 
 def test_furuta_fit_is_identical_for_all_worker_counts(measured):
     calibration = furuta_calibration(measured)
-    fits = [calibration.fit(workers=workers) for workers in (1, 2, 4)]
+    fits = [calibration.fit(batch="serial", workers=workers) for workers in (1, 2, 4)]
     assert fits[0].parameters["armFriction"] == pytest.approx(0.010, abs=1e-4)
     assert fits[0].parameters["pendulumFriction"] == pytest.approx(0.001, abs=1e-5)
     assert fits[0].cost <= calibration.cost([0.010, 0.001])

@@ -59,7 +59,7 @@ def test_fit_resumes_from_checkpoint(dahlquist, method, tmp_path):
 def test_least_squares_uses_residuals_of_simulations(dahlquist, scale):
     noisy = {"time": TIME, "x": TRUE + 0.01 * np.sin(50 * TIME)}
     calibration = decay(dahlquist, noisy, parameters=[Parameter("k", 1.0, 0.1, 5.0, scale=scale)])
-    fits = [calibration.fit("least-squares", workers=workers) for workers in (1, 3)]
+    fits = [calibration.fit("least-squares", batch="serial", workers=workers) for workers in (1, 3)]
     assert timeless(fits[0]) == timeless(fits[1]) and fits[0].success and fits[0].nfev < 20
     fit, simplex = fits[0], calibration.fit("nelder-mead")
     assert fit.cost == pytest.approx(simplex.cost, rel=1e-4) and fit.nfev < simplex.nfev
@@ -95,7 +95,7 @@ def test_least_squares_tolerates_failed_simulations(dahlquist):
     data = {"time": TIME, "x": np.exp(-4.0 * TIME)}
     parameters = [Parameter("k", 1.0, 0.1, 1e6, nominal=1e5)]
     calibration = decay(dahlquist, data, parameters=parameters, solver="euler", step_size=0.001, relative_tolerance=None)
-    fits = [calibration.fit("least-squares", options={"radius": 1.0}, workers=workers) for workers in (1, 4)]
+    fits = [calibration.fit("least-squares", batch="serial", options={"radius": 1.0}, workers=workers) for workers in (1, 4)]
     assert timeless(fits[0]) == timeless(fits[1])
     fit = fits[0]
     assert fit.nfail > 0 and sum(fit.failures.values()) == fit.nfail and fit.cost <= fit.start_cost

@@ -275,3 +275,17 @@ def test_rounds_evaluate_several_points():
     assert timeless(least_squares(decay, START, batch="workers")) == timeless(least_squares(decay, START, batch=1))
     with pytest.raises(ValueError, match="'batch' of least-squares must be an integer"):
         least_squares(decay, START, batch="many")
+
+
+def test_batch_plan_of_a_result_repeats_its_path(tmp_path):
+    path = tmp_path / "run"
+    n = len(START)
+    planned = least_squares(decay, START, workers=n + 2)
+    assert planned.batch_plan == n + 2
+    for workers in (1, 2, 8):
+        again = least_squares(decay, START, workers=workers, batch=planned.batch_plan)
+        assert timeless(again) == timeless(planned) and again.batch_plan == n + 2
+    least_squares(decay, START, workers=n + 2, max_evaluations=n + 4, checkpoint=path)
+    resumed = least_squares(decay, START, workers=1, checkpoint=path)
+    assert resumed.batch_plan == n + 2 and resumed.x.tobytes() == planned.x.tobytes()
+    assert least_squares(decay, START).batch_plan == "serial"

@@ -329,7 +329,7 @@ fn priors_determine_what_measurements_do_not() {
 #[test]
 fn limits_cover_all_noise_rounds_and_result_is_independent_of_workers() {
     let build = || dahlquist(decay(5, 0.05), 1.0).parameter(rate(0.5, 1.0, 0.05)).build().unwrap();
-    for method in [AnyMethod::from(LeastSquares::default()), NelderMead::default().into()] {
+    for method in [AnyMethod::from(LeastSquares::default().serial()), NelderMead::default().into()] {
         let with = |workers: usize, most: Option<usize>| {
             let limits = Limits { max_evaluations: most, ..Limits::default() };
             let fit =

@@ -328,6 +328,9 @@ pub struct Setup {
     /// Loss that has already been applied to the residuals.
     #[serde(default, skip_serializing_if = "RobustLoss::is_linear")]
     pub loss: RobustLoss,
+    /// Number of evaluations that may run at once, for methods whose batch plan depends on it.
+    #[serde(skip)]
+    pub workers: usize,
 }
 
 impl Setup {
@@ -341,6 +344,7 @@ impl Setup {
             start_given: true,
             prior: Vec::new(),
             loss: RobustLoss::default(),
+            workers: 1,
         }
     }
 }

@@ -120,6 +120,7 @@ impl<M: MethodOptions> Description<M> {
             start_given,
             prior: prior.iter().map(|known| known.x.clone()).collect(),
             loss,
+            workers: options.workers.unwrap_or(1),
             ..Setup::new(space)
         };
         let mut store = Store::new(capacity);

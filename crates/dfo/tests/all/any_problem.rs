@@ -213,7 +213,7 @@ fn method(dice: &mut Dice) -> AnyMethod {
         10 | 11 => {
             let least_squares = LeastSquares::default();
             match dice.below(3) {
-                0 => least_squares.into(),
+                0 => least_squares.serial().into(),
                 batch => least_squares.batch(2 + 3 * batch as usize).into(),
             }
         }

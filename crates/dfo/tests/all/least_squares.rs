@@ -300,7 +300,7 @@ fn rounds_plan_is_chosen_by_name() {
     assert_eq!(told(&rounds), told(&run(LeastSquares::default().batch(6).into())));
     assert_eq!(told(&run(by_name("serial").unwrap())), told(&run(LeastSquares::default().into())));
     let refused = by_name("four").unwrap_err();
-    assert!(format!("{refused:?}").contains("an integer, 'serial' or 'rounds'"), "{refused:?}");
+    assert!(format!("{refused:?}").contains("an integer, 'auto', 'serial' or 'rounds'"), "{refused:?}");
 }
 
 /// Equal residuals at all points of the model are not a minimum.
@@ -564,6 +564,56 @@ fn fine_noise_does_not_exhaust_the_budget() {
         let report = minimize(residuals(fine)).start(&start).method(LeastSquares::default()).run().unwrap();
         assert!(report.termination == Termination::Noise && report.is_success(), "{report}");
         assert!(report.n_evaluations < 1000 && report.fun < 0.25, "{report}");
+    }
+}
+
+/// A valley with a condition number of 1e12 of the normal matrix. Rounds reach the minimum of the serial path.
+#[test]
+fn rounds_reach_the_minimum_when_parameters_are_correlated() {
+    let turn = |x: &[f64]| [0.6 * x[0] + 0.8 * x[1], 0.8 * x[0] - 0.6 * x[1]];
+    let valley = |x: &[f64], out: &mut Vec<f64>| {
+        let [long, short] = turn(&[x[0] - 1.3, x[1] - 0.7]);
+        let lines = (0..6).map(|k| long + 1e-6 * short * f64::from(k * k - 9) + 1e-4 * f64::from(k % 2));
+        out.extend(lines.map(|a| a + 0.05 * a * a));
+    };
+    let run = |method| minimize(residuals(valley)).start(&[0.8, 1.2]).method(method).run().unwrap();
+    let serial = run(LeastSquares::default().serial());
+    for method in
+        [LeastSquares::default().rounds(), LeastSquares::default().batch(3), LeastSquares::default().batch(8)]
+    {
+        let rounds = run(method);
+        assert!(rounds.fun <= serial.fun * (1.0 + 1e-6) && rounds.n_evaluations < 300, "{serial}\n{rounds}");
+    }
+}
+
+/// The plan follows from n and the number of workers. It can be given back, and then any number of workers
+/// follows the same path.
+#[test]
+fn automatic_plan_depends_on_stated_workers_and_can_be_given_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |workers: usize, method: LeastSquares| {
+        let run = minimize(residuals(chained)).start(&[-1.2, 1.0]).workers(workers).method(method);
+        run.run().unwrap()
+    };
+    for (workers, plan) in [(1, "serial"), (2, "serial"), (3, "3"), (5, "5"), (6, "6"), (40, "6")] {
+        let report = run(workers, LeastSquares::default());
+        assert_eq!(report.batch, plan);
+        let given = match plan.parse() {
+            Ok(points) => LeastSquares::default().batch(points),
+            Err(_) => LeastSquares::default().serial(),
+        };
+        for other in [1, 2, 8] {
+            assert_eq!(told(&report), told(&run(other, given.clone())), "{workers} {other}");
+        }
+        // The checkpoint contains the plan: a run continues on it with any number of workers.
+        let at = || Checkpoint::new(folder.path().join(workers.to_string())).interval(Duration::ZERO);
+        let start = |workers: usize| {
+            let run = minimize(residuals(chained)).start(&[-1.2, 1.0]).workers(workers);
+            run.method(LeastSquares::default()).checkpoint(at())
+        };
+        start(workers).max_evaluations(10).run().unwrap();
+        let resumed = start(9 - workers.min(8)).run().unwrap();
+        assert_eq!((told(&resumed), &*resumed.batch), (told(&report), plan), "{workers}");
     }
 }
 

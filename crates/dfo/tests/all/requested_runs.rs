@@ -136,7 +136,7 @@ fn chosen_method_receives_given_options() {
     let residuals = "the objective returns residuals".to_owned();
     let rounds = AnyMethod::from(LeastSquares::default().rounds());
     for (plan, method) in [
-        (serde_json::json!("Serial"), LeastSquares::default().into()),
+        (serde_json::json!("Serial"), LeastSquares::default().serial().into()),
         (serde_json::json!("auto"), LeastSquares::default().into()),
         (serde_json::json!("rounds"), rounds),
         (serde_json::json!(3), LeastSquares::default().batch(3).into()),

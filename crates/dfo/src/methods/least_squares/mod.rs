@@ -6,11 +6,11 @@
 //! predictions (`trust_region.rs`). A new point changes the model by a matrix of rank one, which costs O(mn +
 //! n^2) (`interpolation.rs`, `triangle.rs`).
 //!
-//! With rounds of several points, the others are trial points at other radii and neighbours of the first one.
-//! The Jacobian at the first trial point is then known in the same round. If a point next to the best one
-//! shows noise, the models become regressions on all nearby points (`averaging.rs`). Then each round contains
-//! one point. Steps stay on one side of a plane that separates failed points from the others. If this makes
-//! no progress, Nelder-Mead continues from a good point away from the failed points.
+//! With rounds of several points, the others are trial points at other radii and neighbours of the first one
+//! (`rounds.rs`). The Jacobian at the first trial point is then known in the same round. If a point next to
+//! the best one shows noise, the models become regressions on all nearby points (`averaging.rs`). Then each
+//! round contains one point. Steps stay on one side of a plane that separates failed points from the others.
+//! If this makes no progress, Nelder-Mead continues from a good point away from the failed points.
 
 mod averaging;
 mod interpolation;
@@ -18,6 +18,7 @@ mod jacobian;
 mod model;
 mod options;
 mod points;
+mod rounds;
 mod simplex_search;
 mod state;
 mod subproblem;
@@ -41,7 +42,8 @@ impl MethodOptions for LeastSquares {
         setup.space.require_continuous("least-squares")?;
         let (n, n_user) = (setup.space.n_free(), setup.space.n());
         memory::check("a model for this many parameters", &[n + 1, 4 * n + 2 * n_user])?;
-        Ok(LeastSquaresState::new(&near(setup), self))
+        let batch = self.batch.decided(n, setup.workers);
+        Ok(LeastSquaresState::new(&near(setup), &Self { batch, ..self.clone() }))
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<LeastSquaresState, Error> {

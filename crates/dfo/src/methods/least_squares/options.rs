@@ -5,37 +5,51 @@ use crate::method_interface::interface::name_or_number;
 use serde::{Deserialize, Deserializer, Serialize};
 
 /// Number of points that least squares evaluates at once after the first n + 1. Each plan follows a different
-/// path, which does not depend on the number of workers.
+/// path, which does not depend on the number of workers that evaluate it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum StepPlan {
-    /// One point at a time: the fewest evaluations.
+    /// Chosen at the start from n and the number of workers of the run: as many points as there are workers,
+    /// at most n + 4, if there are at least n + 1 workers. Otherwise one point at a time. The report and the
+    /// checkpoint contain the choice.
     #[default]
+    Auto,
+    /// One point at a time: the fewest evaluations.
     Serial,
-    /// n + 4 points. Four are the best points of the model within different radii. The others are n
-    /// neighbours of the first point for its Jacobian. This plan needs the fewest rounds if there are at
-    /// least n + 4 workers. With fewer workers, it takes longer than one point at a time.
+    /// n + 4 points: n neighbours of a point for its Jacobian, and four best points of the model within
+    /// different radii.
     Rounds,
-    /// This number of points: first trial points, then neighbours.
+    /// This number of points: n neighbours, and at least one best point of the model. A round with more
+    /// points than this number is evaluated in parts.
     #[serde(untagged)]
     Points(usize),
 }
 
 impl<'de> Deserialize<'de> for StepPlan {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        const NAMES: [(&str, StepPlan); 2] = [("serial", StepPlan::Serial), ("rounds", StepPlan::Rounds)];
-        let expected = "an integer, 'serial' or 'rounds'";
+        const NAMES: [(&str, StepPlan); 3] =
+            [("auto", StepPlan::Auto), ("serial", StepPlan::Serial), ("rounds", StepPlan::Rounds)];
+        let expected = "an integer, 'auto', 'serial' or 'rounds'";
         name_or_number(deserializer, expected, &NAMES, StepPlan::Points)
     }
 }
 
 impl StepPlan {
+    /// Returns the plan for `n` parameters and this number of workers.
+    pub(super) fn decided(self, n: usize, workers: usize) -> Self {
+        match self {
+            Self::Auto if workers > n => Self::Points(workers.min(Self::Rounds.width(n))),
+            Self::Auto => Self::Serial,
+            plan => plan,
+        }
+    }
+
     /// Returns the number of points for `n` parameters.
     pub(super) fn width(self, n: usize) -> usize {
         match self {
-            Self::Serial => 1,
+            Self::Auto | Self::Serial => 1,
             Self::Rounds => n + 4,
             Self::Points(points) => points,
         }
@@ -63,13 +77,13 @@ impl StepPlan {
 pub struct LeastSquares {
     /// First radius, in units of the parameter sizes; default 0.1.
     pub radius: f64,
-    /// Number of points evaluated at once after the first n + 1; default [`StepPlan::Serial`].
+    /// Number of points evaluated at once after the first n + 1; default [`StepPlan::Auto`].
     pub batch: StepPlan,
 }
 
 impl Default for LeastSquares {
     fn default() -> Self {
-        Self { radius: 0.1, batch: StepPlan::Serial }
+        Self { radius: 0.1, batch: StepPlan::Auto }
     }
 }
 
@@ -85,6 +99,13 @@ impl LeastSquares {
     #[must_use]
     pub fn batch(mut self, points: usize) -> Self {
         self.batch = StepPlan::Points(points);
+        self
+    }
+
+    /// Evaluates one point at a time ([`StepPlan::Serial`]).
+    #[must_use]
+    pub fn serial(mut self) -> Self {
+        self.batch = StepPlan::Serial;
         self
     }
 

@@ -3,7 +3,7 @@
 //! if points fail.
 
 use super::interpolation::Interpolation;
-use super::options::LeastSquares;
+use super::options::{LeastSquares, StepPlan};
 use super::points::{Evaluated, distance};
 use crate::error::Error;
 use crate::method_interface::interface::{
@@ -40,6 +40,8 @@ const MOST_FAILED: usize = 64;
 pub(super) enum Phase {
     /// The start and its neighbours are evaluated.
     Starting,
+    /// Rounds of several points.
+    Rounds(Rounds),
     /// Steps on interpolation models.
     Descending,
     /// Steps on regression models, because the residuals are noisy.
@@ -70,6 +72,58 @@ impl Averaging {
     }
 }
 
+/// Points next to a centre, one along each coordinate.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Differences {
+    pub(super) centre: usize,
+    pub(super) neighbours: Vec<usize>,
+    /// False for the start, whose neighbours are one radius away.
+    pub(super) is_fine: bool,
+}
+
+/// State of the rounds.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Rounds {
+    /// The last two differences, oldest first.
+    pub(super) known: Vec<Differences>,
+    /// Difference step, in units of the parameters.
+    pub(super) step: f64,
+    /// True if the noise of the residuals has been checked.
+    pub(super) is_checked: bool,
+    /// Number of consecutive rounds without a better point.
+    pub(super) n_stuck: usize,
+    /// Best point before the round.
+    pub(super) base: usize,
+    /// Centre of the differences of the round, if it is not the first trial point.
+    pub(super) around: Option<usize>,
+}
+
+impl Rounds {
+    pub(super) fn is_sound(&self, n: usize, len: usize) -> bool {
+        let of = |d: &Differences| d.neighbours.len() == n && d.points().all(|k| k < len);
+        self.known.iter().all(of)
+            && is_length(self.step)
+            && self.base < len
+            && self.around.is_none_or(|k| k < len)
+    }
+
+    /// Returns the indices of the points in use.
+    pub(super) fn points(&mut self) -> impl Iterator<Item = &mut usize> {
+        let known = self.known.iter_mut().flat_map(|d| d.neighbours.iter_mut().chain([&mut d.centre]));
+        known.chain([&mut self.base]).chain(&mut self.around)
+    }
+
+    pub(super) fn fine_at(&self, centre: usize) -> Option<&Differences> {
+        self.known.iter().find(|d| d.is_fine && d.centre == centre)
+    }
+}
+
+impl Differences {
+    pub(super) fn points(&self) -> impl Iterator<Item = usize> {
+        std::iter::once(self.centre).chain(self.neighbours.iter().copied())
+    }
+}
+
 /// Reference state of a search whose changes have been below the tolerances since then.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Stagnation {
@@ -94,6 +148,10 @@ pub(super) enum Role {
     Geometry { instead: usize },
     /// A point that improves the model.
     Near,
+    /// A neighbour of the centre of a round along a coordinate.
+    Difference,
+    /// A point beyond the first neighbour, which shows the noise of the residuals.
+    Check,
     /// A point next to the best one, which distinguishes noisy from curved residuals. `misfit` is the error
     /// of the model.
     Probe { misfit: f64 },
@@ -239,7 +297,9 @@ impl LeastSquaresState {
                 && match c.role {
                     Role::Start(coordinate) => coordinate.is_none_or(|k| k < n),
                     Role::Geometry { instead } => instead < len,
-                    Role::Trial { .. } | Role::Near | Role::Probe { .. } => true,
+                    Role::Trial { .. } | Role::Near | Role::Difference | Role::Check | Role::Probe { .. } => {
+                        true
+                    }
                 }
         };
         let is_point = |p: &Evaluated| is_place(&p.z, &p.x) && p.cost.is_finite() && p.residuals.len() == m;
@@ -265,6 +325,7 @@ impl LeastSquaresState {
             && self.halt.as_ref().is_none_or(|halt| halt.z.len() == n)
             && (self.set.is_empty() == matches!(self.phase, Phase::Starting | Phase::NoStart))
             && match &self.phase {
+                Phase::Rounds(rounds) => rounds.is_sound(n, len),
                 Phase::Averaging(averaging) => averaging.is_sound(n),
                 // The simplex search started with the sizes found during the run.
                 Phase::Simplex(simplex) => simplex.is_sound(&simplex_method(), &self.setup),
@@ -314,6 +375,11 @@ impl LeastSquaresState {
     /// Returns the displacement of a working coordinate from the start, in units of the parameter size.
     pub(super) fn scaled(&self, k: usize, u: f64) -> f64 {
         (u - self.origin[k]) / self.setup.space.size(k)
+    }
+
+    /// Returns the absolute value of a working coordinate, in units of the parameter size.
+    pub(super) fn magnitude(&self, z: &[f64], k: usize) -> f64 {
+        (self.origin[k] / self.setup.space.size(k) + z[k]).abs()
     }
 
     /// Returns the unit of `x_tol`, in units of the parameter sizes.
@@ -392,6 +458,7 @@ impl LeastSquaresState {
                     self.started();
                 }
             }
+            Phase::Rounds(_) => self.rounded(&round),
             Phase::Descending => self.descended(&round),
             Phase::Averaging(_) => self.averaged(&round),
             Phase::Simplex(_) | Phase::NoStart | Phase::Ended(_) => {}
@@ -450,7 +517,7 @@ impl LeastSquaresState {
         // The start is the first requested point. If it failed, another point is used.
         self.f_0 = self.points[0].cost;
         self.operation = Some(Operation::Initial);
-        self.phase = if self.n() == 0 { Phase::Ended(Termination::AllFixed) } else { Phase::Descending };
+        self.phase = if self.n() == 0 { Phase::Ended(Termination::AllFixed) } else { self.first_phase() };
         if self.points.len() == self.n() + 1 {
             self.set = (0..self.points.len()).collect();
         } else {
@@ -473,14 +540,21 @@ impl LeastSquaresState {
         let centre = self.points[self.base()].z.clone();
         let mut is_kept = vec![false; self.points.len()];
         self.set.iter().for_each(|k| is_kept[*k] = true);
+        if let Phase::Rounds(rounds) = &mut self.phase {
+            rounds.points().for_each(|k| is_kept[*k] = true);
+        }
         let far = |k: usize| (distance(&self.points[k].z, &centre), k);
         let mut others: Vec<(f64, usize)> = (0..is_kept.len()).filter(|k| !is_kept[*k]).map(far).collect();
         others.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let places = (most - most / 16).saturating_sub(self.set.len());
+        let n_kept = is_kept.iter().filter(|kept| **kept).count();
+        let places = (most - most / 16).saturating_sub(n_kept);
         others.iter().take(places).for_each(|(_, k)| is_kept[*k] = true);
         let moved = |k: &mut usize| *k = is_kept.iter().take(*k).filter(|kept| **kept).count();
         self.set.iter_mut().for_each(moved);
         moved(&mut self.completed.0);
+        if let Phase::Rounds(rounds) = &mut self.phase {
+            rounds.points().for_each(moved);
+        }
         let mut kept = is_kept.iter();
         self.points.retain(|_| kept.next() == Some(&true));
     }
@@ -500,15 +574,13 @@ impl Method for LeastSquaresState {
         batch.set_want(Want::Residuals);
         self.asked.clear();
         if self.round.is_empty() {
-            match &self.phase {
-                Phase::Descending => {
-                    if self.descend(context).is_err() {
-                        self.waiting = false;
-                        return;
-                    }
-                }
-                Phase::Averaging(_) => self.average(),
-                Phase::Starting | Phase::Simplex(_) | Phase::NoStart | Phase::Ended(_) => {}
+            let filled = self.ask_round(context).and_then(|()| self.descend(context));
+            if filled.is_err() {
+                self.waiting = false;
+                return;
+            }
+            if let Phase::Averaging(_) = &self.phase {
+                self.average();
             }
         }
         if let Phase::Simplex(simplex) = &mut self.phase {
@@ -520,7 +592,11 @@ impl Method for LeastSquaresState {
         }
         let is_first = |c: &Candidate| c.role == Role::Start(None) && c.known == PointStatus::Pending;
         let is_first = self.n() >= LARGE && self.round.first().is_some_and(is_first);
-        let at_once = if is_first { 1 } else { self.round.len() };
+        let at_once = match &self.phase {
+            _ if is_first => 1,
+            Phase::Rounds(_) => self.options.batch.width(self.n()),
+            _ => self.round.len(),
+        };
         let pending = self.round.iter().enumerate().filter(|(_, c)| c.known == PointStatus::Pending);
         for (k, candidate) in pending.take(at_once) {
             batch.push(&candidate.x, f64::INFINITY);
@@ -581,7 +657,11 @@ impl Method for LeastSquaresState {
             n_iterations: self.n_iterations,
             operation: self.operation,
             tests: self.tests,
-            plan: if self.options.batch.width(self.n()) > 1 { "rounds" } else { "serial" },
+            plan: if self.options.batch == StepPlan::Rounds { "rounds" } else { "serial" },
+            lookahead: match self.options.batch {
+                StepPlan::Points(points) if points > 1 => Lookahead::Points(points),
+                _ => Lookahead::None,
+            },
             ..MethodDetails::default()
         };
         match &self.phase {

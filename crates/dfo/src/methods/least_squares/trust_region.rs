@@ -52,10 +52,6 @@ const FAR: f64 = 100.0;
 /// Ratio to the start value, or to one, above which a value counts as diverged. Bounds at this distance count
 /// as absent (`problem/space`).
 const RUN_AWAY: f64 = 1e10;
-/// Radii of the trial points of a round, in units of the trust-region radius, most promising first.
-const RADII: [f64; 4] = [1.0, 0.3, 3.0, 0.1];
-/// Distance of the neighbours of a round's first trial point from this point, in units of the step.
-const NEIGHBOUR: f64 = 0.1;
 
 /// Results of the tests at a point.
 struct Judged {
@@ -149,7 +145,7 @@ impl LeastSquaresState {
             }
             let base = self.base();
             let f = self.points[base].cost;
-            if f <= ZERO * self.f_0 {
+            if self.is_zero(f) {
                 self.end_at_zero(base, context)?;
                 break;
             }
@@ -214,14 +210,15 @@ impl LeastSquaresState {
                 self.model = Some(model);
             } else {
                 self.ask_for(sum(&z, &step), Role::Trial { predicted, radius: self.delta });
-                let more = self.options.batch.width(self.n()) - 1;
-                if more > 0 {
-                    self.widen(&z, &step, &model.linear, more);
-                }
                 self.model = Some(model);
             }
         }
         Ok(())
+    }
+
+    /// True if a sum of squares counts as zero.
+    pub(super) fn is_zero(&self, f: f64) -> bool {
+        f <= ZERO * self.f_0
     }
 
     /// Ends the run after the cost has become zero. The points do not need to determine a model.
@@ -349,31 +346,6 @@ impl LeastSquaresState {
         if x_size < self.rho { (x_size, predicted + gradient * gradient) } else { coarse }
     }
 
-    /// Adds points to a round around its first trial point: trial points at other radii, and neighbours.
-    fn widen(&mut self, z: &[f64], step: &[f64], linear: &Linear, more: usize) {
-        let (lower, upper) = self.space_around(z);
-        let (n, length) = (self.n(), norm(step));
-        let centre = self.round[0].z.clone();
-        // Choose the number of radii such that a neighbour along each coordinate remains, if possible.
-        let n_radii = if more >= n { (more - n).min(RADII.len() - 1) } else { more / 3 };
-        let unit = if length < 0.99 * self.delta { length } else { self.delta };
-        for radius in RADII[1..=n_radii].iter().map(|share| share * unit) {
-            let (other, predicted) = self.best_step(z, linear, radius, &lower, &upper);
-            if predicted > 0.0 && distance(&other, step) > 0.05 * norm(&other) {
-                self.ask_for(sum(z, &other), Role::Trial { predicted, radius });
-            }
-        }
-        let n_neighbours = (more + 1 - self.round.len()).min(n);
-        let kept = Selection::nearest(&self.points, &centre, n - n_neighbours);
-        let kept = kept.chosen.iter().map(|k| difference(&self.points[*k].z, &centre)).collect::<Vec<_>>();
-        let reach = (NEIGHBOUR * length).max(self.rho.min(length) * 0.1);
-        for direction in Selection::of(kept.iter().map(|v| &v[..])).missing(n).into_iter().take(n_neighbours)
-        {
-            let v = self.fitted(&centre, &direction, reach);
-            self.ask_for(sum(&centre, &v), Role::Near);
-        }
-    }
-
     /// Returns a step along a direction with the given length, on the side with more space in the box.
     pub(super) fn fitted(&self, z: &[f64], direction: &[f64], length: f64) -> Vec<f64> {
         let (lower, upper) = self.space_around(z);
@@ -468,7 +440,7 @@ impl LeastSquaresState {
                 }
             }
             (Role::Probe { .. }, _) => (self.n_noisy, self.failure) = (0, None),
-            (Role::Near | Role::Start(_), _) => self.choose_set_from(round),
+            (Role::Near | Role::Start(_) | Role::Difference | Role::Check, _) => self.choose_set_from(round),
         }
     }
 
@@ -527,8 +499,7 @@ impl LeastSquaresState {
                 None if ratio < 0.1 => self.failure = Some((misfit, size)),
                 _ => {}
             }
-            if round.len() == 1
-                && self.set.len() == self.n() + 1
+            if self.set.len() == self.n() + 1
                 && let Some(place) = self.replaced(base, k, &lagrange)
             {
                 let is_accurate = self.follow(&mut model, place, k, &step, &lagrange, &off);
@@ -536,7 +507,7 @@ impl LeastSquaresState {
                 self.set[place] = k;
             }
         }
-        if round.len() > 1 || self.set.len() <= self.n() {
+        if self.set.len() <= self.n() {
             self.choose_set_from(round);
         }
         self.look_for_progress(self.base());

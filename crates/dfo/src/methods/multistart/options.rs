@@ -150,7 +150,7 @@ impl Multistart {
     ) -> Result<Box<dyn Method + Send>, Error> {
         let few = setup.space.n_free() <= FEW;
         match self.polish {
-            Polish::LeastSquares => boxed(&LeastSquares::default(), setup, state),
+            Polish::LeastSquares => boxed(&LeastSquares::default().serial(), setup, state),
             Polish::NelderMead => boxed(&NelderMead::default(), setup, state),
             Polish::Auto if few => boxed(&NelderMead::default(), setup, state),
             Polish::Auto | Polish::CmaEs => boxed(&CmaEs::default().sigma(0.1), setup, state),

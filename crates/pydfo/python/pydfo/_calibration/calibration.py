@@ -299,7 +299,7 @@ class Calibration(Evaluation):
             "all" (the default): both tests must pass. "any": one test ends the fit.
         batch : {"auto", "serial", "ahead"}, "rounds", "workers" or int
             For Nelder-Mead and barrier: number of trial points simulated at once in an iteration, see `fmin`. For
-            least squares: "serial", "rounds", a number of points, or "workers", see `least_squares`.
+            least squares: "auto", "serial", "rounds", a number of points, or "workers", see `least_squares`.
         disp : bool, optional
             True: show a live line if standard error is a terminal or a notebook, using rich if it is installed.
             Otherwise print one line per iteration, as `fmin` does. In both cases, report how the fit ended. False:

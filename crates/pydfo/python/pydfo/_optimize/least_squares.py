@@ -83,11 +83,11 @@ def least_squares(
     workers : int, map-like or executor
         As in `minimize`.
     batch : "auto", "serial", "rounds", "workers" or int
-        Number of points requested at once after the first n + 1. "auto" and "serial": one point, with the fewest
-        evaluations. "rounds": n + 4 points, with about half as many rounds and twice the evaluations (60 fits of
-        curves with 2 to 6 parameters: 0.2 to 0.7 times the rounds, 1.4 to 3.4 times the evaluations). Use "rounds"
-        with n + 1 workers or more. Neither path depends on the number of workers. An integer sets the number of
-        points; "workers" sets it to the number of workers.
+        Number of points requested at once after the first n + 1. "serial": one point, with the fewest evaluations.
+        An integer: n neighbours of a point for its Jacobian, and the others at several radii, which needs fewer
+        rounds and more evaluations. "rounds": n + 4 points. "workers": the number of workers. "auto": the number of
+        workers, at most n + 4, if there are at least n + 1 workers; otherwise "serial". The result contains the plan
+        (`batch_plan`). For one plan, the path does not depend on the number of workers.
     callback, rng, checkpoint, resume, on_error : optional
         As in `minimize`; ``fun`` of a `Progress` is the cost.
     options : dict, optional

@@ -226,7 +226,7 @@ class OptimizeResult:
         The distinct minima found by local searches from several starts, lowest first ("multistart"). The result of a
         run that was cut off may be lower than all of them.
     method, batch : str
-        Name of the method, and its plan for evaluations ahead of need.
+        Name of the method, and its batch plan as text. `batch_plan` is the plan as a value for ``batch=``.
     method_reason : str or None
         Reason for the chosen method if it was "auto".
     options : dict of str to str
@@ -286,6 +286,12 @@ class OptimizeResult:
 
     def __post_init__(self) -> None:
         self.status = STATUS[self.termination]
+
+    @property
+    def batch_plan(self) -> str | int:
+        """The batch plan as a value for the argument ``batch``. With it, another run follows the same path on any
+        machine, for any number of workers."""
+        return int(self.batch) if self.batch.isdigit() else self.batch
 
     @classmethod
     def _of(cls, record: dict[str, Any]) -> OptimizeResult:
