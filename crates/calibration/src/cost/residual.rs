@@ -344,7 +344,8 @@ mod tests {
         assert_eq!(c.n_residuals(), 5);
         let mut out = [f64::NAN; 5];
         let rule = CostRule::whole(RobustLoss::default(), &RunContext::new());
-        let mut a = Accumulator::new(&c, &schedule, &[shift(0.0), shift(0.5)], rule, 100.0, &mut out);
+        let shifts = [shift(0.0), shift(0.5)];
+        let mut a = Accumulator::new(&c, &schedule, &shifts, rule, 100.0, &mut out);
         for i in 0..schedule.times.len() {
             assert!(!a.is_complete());
             assert!(a.sample(&sample(i, &[0.0, -0.5])).is_continue());
@@ -372,11 +373,12 @@ mod tests {
         let schedule = c.schedule(|_| 0.0, 0.0);
         let [mut first, mut second] = [[0.0; 2]; 2];
         let rule = CostRule { cutoff: 4.0, ..CostRule::whole(RobustLoss::default(), &RunContext::new()) };
-        let mut a = Accumulator::new(&c, &schedule, &[shift(0.0)], rule, 0.0, &mut first);
+        let shifts = [shift(0.0)];
+        let mut a = Accumulator::new(&c, &schedule, &shifts, rule, 0.0, &mut first);
         assert!(a.sample(&sample(0, &[2.0])).is_continue());
         assert!(a.sample(&sample(1, &[1e-3])).is_break());
         assert_eq!(a.stop, Some(StopReason::AboveCutoff));
-        let mut a = Accumulator::new(&c, &schedule, &[shift(0.0)], rule, 0.0, &mut second);
+        let mut a = Accumulator::new(&c, &schedule, &shifts, rule, 0.0, &mut second);
         assert!(a.sample(&sample(0, &[f64::NAN])).is_break());
         assert_eq!(a.stop, Some(StopReason::NotFinite(0)));
         assert!(!a.is_complete());

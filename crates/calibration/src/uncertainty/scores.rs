@@ -134,7 +134,7 @@ mod tests {
         let mut r: Vec<f64> = (0..98).map(|k| ((f64::from(k) + 0.5) / 98.0 - 0.5) * 4.0).collect();
         r.extend([50.0, -50.0]);
         let groups =
-            [Group { outputs: vec![0], series: std::iter::once(0..100).collect(), starts: Vec::new() }];
+            [Group { outputs: vec![0], series: std::iter::once(0..100).collect(), ..Group::default() }];
         let with = |kind, scale| {
             let criterion = Criterion::Loss(RobustLoss::new(kind, scale).unwrap());
             Working::new(criterion, &r, &groups, 2)

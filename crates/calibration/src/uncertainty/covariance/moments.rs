@@ -361,7 +361,8 @@ mod tests {
         let (n, q, rho) = (9, 2, 0.6_f64);
         let context = RunContext::new();
         let base = DMatrix::from_fn(n + 1, q, |i, k| (i as f64 + 1.0).powi(k as i32)).qr().q();
-        let groups = [Group { outputs: vec![0], series: vec![0..3, 4..n], starts: Vec::new() }];
+        let groups =
+            [Group { outputs: vec![0], series: vec![0..3, 4..n], starts: Vec::new(), is_known: false }];
         let residuals = vec![1.0; n + 1];
         let moments = Moments::new(&groups, &base, &residuals, n..n + 1, &context).unwrap();
         let variance = 2.5;

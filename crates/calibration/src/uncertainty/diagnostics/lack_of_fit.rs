@@ -93,6 +93,7 @@ mod tests {
             measured: vec![1.0; 6].into(),
             weights: vec![1.0; 6].into(),
             starts_simulation: false,
+            is_noise_known: false,
         };
         ResidualLayout { outputs: vec![output], priors: Vec::new() }
     }
