@@ -62,6 +62,7 @@ pub use export::{FitDocument, FmuExport, SavedFit, Table};
 pub use findings::finding::{Finding, Origin, Severity};
 pub use findings::identifier::FindingId;
 pub use findings::shown_text::{visible, visible_error, visible_line};
+pub use fit::goodness::{Comparison, Goodness};
 pub use fit::live::LiveFit;
 pub use fit::one_stage::{
     ChosenTolerance, EstimatedNoise, Fit, FitNoise, FitObserver, FitOptions, FitRecord, NoiseRule,

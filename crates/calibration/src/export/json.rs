@@ -4,6 +4,7 @@ use super::files::check_belongs;
 use super::tables::unit_of;
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
+use crate::fit::goodness::Goodness;
 use crate::fit::one_stage::{ChosenTolerance, Fit, FitNoise};
 use crate::fit::output_fit::OutputFit;
 use crate::loaded::calibration::Calibration;
@@ -91,6 +92,7 @@ impl Fit {
             start_cost: self.start_cost,
             start_rms: self.start_rms,
             outputs: &self.outputs,
+            goodness: self.goodness(),
             noise: self.noise.as_ref(),
             tolerance: self.tolerance,
             uncertainty,
@@ -137,6 +139,8 @@ pub struct FitDocument<'f> {
     start_rms: Option<f64>,
     /// Quality of fit of each output.
     outputs: &'f [OutputFit],
+    /// Chi-square and information criteria.
+    goodness: Goodness,
     noise: Option<&'f FitNoise>,
     /// Choice of the relative tolerance, if the user did not specify one.
     tolerance: Option<ChosenTolerance>,

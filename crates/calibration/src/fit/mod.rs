@@ -1,5 +1,6 @@
 //! Fits in one stage or several stages, their phases and their results.
 
+pub(crate) mod goodness;
 pub(crate) mod live;
 pub(crate) mod one_stage;
 pub(crate) mod output_fit;

@@ -308,6 +308,11 @@ fn facts(fit: &Fit) -> Vec<Fact> {
         facts.push(("loss", report.loss.to_string()));
     }
     facts.extend(fit.noise.iter().map(|noise| ("noise", noise.to_string())));
+    let goodness = fit.goodness();
+    facts.extend(goodness.p_value.map(|p| {
+        let [chisqr, redchi, p] = [goodness.chisqr, goodness.redchi, p].map(digits);
+        ("goodness of fit", format!("chi-square {chisqr}, reduced {redchi}, p = {p}"))
+    }));
     facts.push(("standard errors", errors(fit)));
     let counts =
         [(report.n_failed, "failed"), (report.n_lost, "lost"), (report.n_speculative, "speculative")];

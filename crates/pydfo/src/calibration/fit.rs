@@ -10,6 +10,7 @@ use crate::convert::report::{self, ResultKind};
 use crate::model::trajectory::Counts;
 use calibration::{Calibration, CalibrationError, Fit, OutputResiduals, RunContext, Table};
 use numpy::{PyArray1, PyArray2};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyBytes, PyDict};
 use std::path::PathBuf;
@@ -97,6 +98,17 @@ impl PyFit {
     /// The summary as plain text.
     fn text(&self) -> String {
         self.inner.to_string()
+    }
+
+    /// Returns the fields of `pydfo.Goodness`.
+    fn goodness<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        object::to_python(py, &self.inner.goodness())
+    }
+
+    /// Compares with another fit. Returns the fields of `pydfo.Comparison` and its text.
+    fn compare<'py>(&self, py: Python<'py>, other: &Self) -> PyResult<(Bound<'py, PyAny>, String)> {
+        let found = self.inner.compare(&other.inner).map_err(PyValueError::new_err)?;
+        Ok((object::to_python(py, &found)?, found.to_string()))
     }
 
     /// The summary as an HTML element.

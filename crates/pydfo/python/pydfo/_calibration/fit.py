@@ -79,6 +79,49 @@ class FitNoise(NamedTuple):
     """True if the residuals of the last search confirm the estimates to 1 %."""
 
 
+class Goodness(NamedTuple):
+    """Statistics of the residuals of a fit, with the names and definitions of lmfit.
+
+    The residuals are those of the measurements, with the weights of the calibration and without a loss. The criteria
+    assume independent normal errors of one variance, up to the weights.
+    """
+
+    ndata: int
+    """Number of measurements N that count."""
+    nvarys: int
+    """Number of fitted parameters k, including parameters at a bound."""
+    nfree: int
+    """Degrees of freedom: ``ndata - nvarys``."""
+    chisqr: float
+    """Chi-square: the sum of the squared weighted residuals."""
+    redchi: float
+    """Reduced chi-square: ``chisqr / max(1, nfree)``. About 1 if the model is right and the weights are 1/sigma."""
+    aic: float
+    """Akaike's information criterion: ``N ln(chisqr / N) + 2 k``."""
+    aicc: float
+    """``aic + 2 k (k + 1) / (N - k - 1)``, for few measurements (Hurvich and Tsai, Biometrika 76, 1989)."""
+    bic: float
+    """Bayesian information criterion: ``N ln(chisqr / N) + k ln N``."""
+    p_value: float | None
+    """Probability of a larger chi-square by chance. None if the noise is not known (`sigma`)."""
+
+
+class Comparison(NamedTuple):
+    """Comparison of two fits to the same measurements. ``print`` shows a table."""
+
+    goodness: tuple[Goodness, Goodness]
+    """Statistics of the two fits."""
+    f: float | None
+    """F statistic of the additional parameters of the larger model; None if both have the same number."""
+    p_value: float | None
+    """Probability of a larger F if the smaller model is right, for nested models."""
+    text: str
+    """The table."""
+
+    def __str__(self) -> str:
+        return self.text
+
+
 class ChosenTolerance(NamedTuple):
     """The relative tolerance that a fit chose for its simulations."""
 
@@ -278,6 +321,56 @@ class Fit(OptimizeResult):
         """RMS relative to the RMS at the start, on the same measurements; None if the simulation failed at the
         start."""
         return None if self.start_rms is None else self.rms / self.start_rms
+
+    @property
+    def goodness(self) -> Goodness:
+        """Chi-square and information criteria at the fitted values: ``fit.goodness.redchi``."""
+        return Goodness(**_export.native_of(self).goodness())
+
+    @property
+    def chisqr(self) -> float:
+        """Chi-square, as in lmfit; see `goodness`."""
+        return self.goodness.chisqr
+
+    @property
+    def redchi(self) -> float:
+        """Reduced chi-square, as in lmfit; see `goodness`."""
+        return self.goodness.redchi
+
+    @property
+    def aic(self) -> float:
+        """Akaike's information criterion, as in lmfit; see `goodness`."""
+        return self.goodness.aic
+
+    @property
+    def bic(self) -> float:
+        """Bayesian information criterion, as in lmfit; see `goodness`."""
+        return self.goodness.bic
+
+    def compare(self, other: Fit) -> Comparison:
+        """Compares this fit with a fit of another model to the same measurements.
+
+        The smaller information criterion is better. The F test applies to nested models: the smaller model is the
+        larger one with some parameters fixed or tied.
+
+        Parameters
+        ----------
+        other : Fit
+            The other fit, with the same measurements and weights.
+
+        Returns
+        -------
+        Comparison
+            ``goodness`` of both fits, ``f`` and ``p_value`` of the F test; ``print`` shows a table.
+
+        Raises
+        ------
+        ValueError
+            The fits have different measurements.
+        """
+        found, text = _export.native_of(self).compare(_export.native_of(other))
+        first, second = (Goodness(**own) for own in found["fits"])
+        return Comparison((first, second), found["f"], found["p_value"], text)
 
     @explained
     def simulate(

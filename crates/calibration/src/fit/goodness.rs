@@ -1,0 +1,164 @@
+//! Goodness of fit: chi-square, information criteria, and the comparison of two fits.
+
+use crate::findings::shown_text::digits;
+use crate::fit::one_stage::{Fit, FitNoise};
+use serde::{Deserialize, Serialize};
+use statrs::distribution::{ChiSquared, ContinuousCDF, FisherSnedecor};
+use std::fmt;
+
+/// Statistics of the residuals of a fit, with the names and definitions of lmfit 1.3 (documentation,
+/// "Performing Fits and Analyzing Outputs", section "Goodness-of-Fit Statistics").
+///
+/// The residuals are those of the measurements, with the weights of the calibration and without a loss. The
+/// criteria assume independent normal errors with one variance: minus twice the logarithm of the likelihood
+/// is `N ln(chisqr / N)` up to a constant.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[non_exhaustive]
+pub struct Goodness {
+    /// Number of measurements N that count.
+    pub ndata: usize,
+    /// Number of fitted parameters k, including parameters at a bound.
+    pub nvarys: usize,
+    /// Degrees of freedom: `ndata - nvarys`.
+    pub nfree: usize,
+    /// Sum of the squared residuals.
+    pub chisqr: f64,
+    /// Reduced chi-square: `chisqr / max(1, nfree)`.
+    pub redchi: f64,
+    /// Akaike's criterion: `N ln(chisqr / N) + 2 k` (IEEE Trans. Automatic Control 19, 1974).
+    pub aic: f64,
+    /// Akaike's criterion for few measurements: `aic + 2 k (k + 1) / (N - k - 1)` (Hurvich and Tsai,
+    /// Biometrika 76, 1989). Infinite if `N <= k + 1`.
+    pub aicc: f64,
+    /// Bayesian criterion: `N ln(chisqr / N) + k ln N` (Schwarz, Annals of Statistics 6, 1978).
+    pub bic: f64,
+    /// Probability of a larger `chisqr` by chance, from the chi-square distribution with `nfree` degrees of
+    /// freedom. `None` if the noise is not known or there are no degrees of freedom.
+    pub p_value: Option<f64>,
+}
+
+impl Goodness {
+    /// Computes the statistics of N residuals with this sum of squares.
+    fn new(chisqr: f64, ndata: usize, nvarys: usize, is_noise_known: bool) -> Self {
+        let (n, k, nfree) = (ndata as f64, nvarys as f64, ndata.saturating_sub(nvarys));
+        let likelihood = n * (chisqr / n).ln();
+        let aic = likelihood + 2.0 * k;
+        let room = n - k - 1.0;
+        let of = ChiSquared::new(nfree as f64).ok().filter(|_| is_noise_known);
+        Self {
+            ndata,
+            nvarys,
+            nfree,
+            chisqr,
+            redchi: chisqr / nfree.max(1) as f64,
+            aic,
+            aicc: if room > 0.0 { aic + 2.0 * k * (k + 1.0) / room } else { f64::INFINITY },
+            bic: likelihood + k * n.ln(),
+            p_value: of.map(|of| of.sf(chisqr)),
+        }
+    }
+}
+
+/// Comparison of two fits to the same measurements, see [`Fit::compare`].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Comparison {
+    /// Statistics of the two fits.
+    pub fits: [Goodness; 2],
+    /// F statistic of the decrease of `chisqr` by the additional parameters of the larger model. `None` if
+    /// both fits have the same number of parameters, or if the larger model leaves no degree of freedom.
+    pub f: Option<f64>,
+    /// Probability of a larger F if the smaller model is right. It requires that the models are nested: the
+    /// smaller one is the larger one with fixed or tied parameters.
+    pub p_value: Option<f64>,
+}
+
+impl Fit {
+    /// Returns statistics of the residuals: chi-square and information criteria.
+    pub fn goodness(&self) -> Goodness {
+        let is_at_bound = |i: &usize| self.at_bound.iter().any(|(k, _)| k == i);
+        let is_held = |i: &usize| {
+            let held = self.uncertainty.as_ref().map_or(&[][..], |uncertainty| &uncertainty.held);
+            self.bounds[*i].0 == self.bounds[*i].1 || (held.contains(i) && !is_at_bound(i))
+        };
+        let nvarys = (0..self.x.len()).filter(|i| !is_held(i)).count();
+        let chisqr = self.rms * self.rms * self.n_measurements as f64;
+        Goodness::new(chisqr, self.n_measurements, nvarys, self.noise == Some(FitNoise::Known))
+    }
+
+    /// Compares this fit with another fit to the same measurements with the same weights. The F statistic of
+    /// models with k1 and k2 > k1 parameters is `(chisqr1 - chisqr2) / (k2 - k1) / redchi2` (Seber and Wild,
+    /// Nonlinear Regression, 1989, section 5.3).
+    ///
+    /// # Errors
+    /// Returns a message if the fits have different outputs or numbers of measurements.
+    pub fn compare(&self, other: &Self) -> Result<Comparison, String> {
+        let compared = |fit: &Self| -> Vec<(String, String, usize)> {
+            fit.outputs.iter().map(|o| (o.variable.clone(), o.column.clone(), o.n)).collect()
+        };
+        if self.n_measurements != other.n_measurements || compared(self) != compared(other) {
+            return Err(format!(
+                "the fits cannot be compared because they have different measurements ({} and {}). Fit the same data",
+                self.n_measurements, other.n_measurements
+            ));
+        }
+        let fits = [self.goodness(), other.goodness()];
+        let (small, large) = if fits[0].nvarys <= fits[1].nvarys { (0, 1) } else { (1, 0) };
+        let (small, large) = (fits[small], fits[large]);
+        let (added, nfree) = ((large.nvarys - small.nvarys) as f64, large.nfree as f64);
+        let of = FisherSnedecor::new(added, nfree).ok();
+        let f = of.map(|_| (small.chisqr - large.chisqr) / added / large.redchi);
+        // A model that is not nested may have a larger sum of squares.
+        let p_value = of.zip(f).map(|(of, f)| of.sf(f.max(0.0)));
+        Ok(Comparison { fits, f, p_value })
+    }
+}
+
+/// Prints a table with one row for each fit, then the F test.
+impl fmt::Display for Comparison {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(out, "fit  parameters       chisqr       redchi          aic         aicc          bic")?;
+        for (k, of) in self.fits.iter().enumerate() {
+            write!(out, "{:<3}  {:>10}", k + 1, of.nvarys)?;
+            for value in [of.chisqr, of.redchi, of.aic, of.aicc, of.bic] {
+                write!(out, " {:>12}", digits(value).to_string())?;
+            }
+            writeln!(out)?;
+        }
+        match (self.f, self.p_value) {
+            (Some(f), Some(p)) => {
+                write!(
+                    out,
+                    "F test of the larger model, if the models are nested: F = {}, p = {}",
+                    digits(f),
+                    digits(p)
+                )
+            }
+            _ => write!(
+                out,
+                "no F test: the fits have the same number of parameters, or no degrees of freedom"
+            ),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Values of lmfit's definitions for 12 residuals with the sum of squares 3 and 2 parameters.
+    #[test]
+    fn goodness_follows_the_definitions_of_lmfit() {
+        let of = Goodness::new(3.0, 12, 2, true);
+        let likelihood = 12.0 * (0.25_f64).ln();
+        assert_eq!((of.ndata, of.nvarys, of.nfree, of.redchi), (12, 2, 10, 0.3));
+        assert!((of.aic - (likelihood + 4.0)).abs() < 1e-12);
+        assert!((of.bic - (likelihood + 2.0 * (12.0_f64).ln())).abs() < 1e-12);
+        assert!((of.aicc - (of.aic + 12.0 / 9.0)).abs() < 1e-12);
+        // scipy.stats.chi2.sf(3, 10)
+        assert!((of.p_value.unwrap() - 0.981_424_063_777_859_3).abs() < 1e-12);
+        assert_eq!(Goodness::new(3.0, 12, 2, false).p_value, None);
+        assert!(Goodness::new(3.0, 3, 2, false).aicc.is_infinite());
+    }
+}
