@@ -103,5 +103,6 @@ pub use uncertainty::differences::ResidualBend;
 pub use uncertainty::preflight::{ParameterCheck, Preflight, PreflightOptions};
 pub use uncertainty::result::{Estimator, Uncertainty, UncertaintyOptions};
 pub use uncertainty::stuck_parameters::BoundSide;
+pub use validation::bootstrap::{Bootstrap, BootstrapKind, BootstrapOptions};
 pub use validation::cross_validation::{CrossValidation, CrossValidationOptions, Fold};
 pub use validation::held_out::{ValidatedOutput, Validation, ValidationSet};

@@ -17,6 +17,7 @@ pub use csv::CsvRequest;
 pub use dates::{DateError, date_seconds};
 pub use parameter_set::ParameterSet;
 pub use recording::Data;
+pub(crate) use recording::NewValues;
 pub(crate) use resampling::Means;
 pub use series::Series;
 pub(crate) use series::sampling_interval;

@@ -8,6 +8,7 @@ use crate::error::CalibrationError;
 use base::{Number, RunContext};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
 use std::io::Read;
 use std::ops::Range;
 use std::path::Path;
@@ -42,6 +43,9 @@ pub struct Data {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) file_hash: Option<String>,
 }
+
+/// New values by the bits of the time and of the old value.
+pub(crate) type NewValues = BTreeMap<(u64, u64), f64>;
 
 /// Description of a table without its numbers.
 #[derive(Debug, Clone, Serialize)]
@@ -447,6 +451,18 @@ impl Data {
     /// Returns the full name of a column, including a unit that is part of it.
     pub(crate) fn full_name(&self, column: &str) -> Option<&str> {
         Some(&self.columns[self.position(column).ok()??].name)
+    }
+
+    /// Replaces the values of a column at these times and old values, given by their bits.
+    pub(crate) fn replace(&mut self, column: &str, values: &NewValues) {
+        if let Ok(Some(index)) = self.position(column) {
+            let rows = self.columns[index].values.to_mut().iter_mut().zip(self.time.iter());
+            for (value, time) in rows {
+                if let Some(new) = values.get(&(time.to_bits(), value.to_bits())) {
+                    *value = *new;
+                }
+            }
+        }
     }
 
     /// Converts a column to `unit`.

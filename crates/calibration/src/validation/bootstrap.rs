@@ -1,0 +1,312 @@
+//! Bootstrap: fits to synthetic measurements, whose spread estimates the uncertainty of the parameters
+//! without a linear model.
+
+use crate::cost::parallel;
+use crate::data::NewValues;
+use crate::error::CalibrationError;
+use crate::findings::shown_text::{digits, visible_line};
+use crate::fit::one_stage::{Fit, FitNoise, FitOptions, NoiseRule};
+use crate::loaded::calibration::Calibration;
+use crate::problem::objective::CostKind;
+use crate::problem::residual_layout::OutputResiduals;
+use base::RunContext;
+use dfo::RunOptions;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fmt;
+
+/// Source of the synthetic errors, which are added to the simulation of the fit (Efron and Tibshirani, An
+/// Introduction to the Bootstrap, 1993, chapters 8 and 9).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum BootstrapKind {
+    /// Normal errors with the known standard deviation, or with the standard deviation of the weighted
+    /// residuals of each output.
+    #[default]
+    Parametric,
+    /// Weighted residuals of the same output, drawn with replacement. They are centred and scaled by `sqrt(N
+    /// / (N - p))`.
+    Residual,
+    /// Blocks of consecutive residuals, for autocorrelated errors (circular blocks: Politis and Romano, in:
+    /// Exploring the Limits of Bootstrap, 1992). The blocks have the length `N^(1/3)`, rounded up (Hall,
+    /// Horowitz and Jing, Biometrika 82, 1995).
+    Block,
+}
+
+/// Options of [`Calibration::bootstrap`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BootstrapOptions {
+    /// Number of fits; default 200, for standard errors. Percentile intervals require about 1000.
+    pub n: usize,
+    /// Source of the errors.
+    pub kind: BootstrapKind,
+    /// Seed of the random numbers; default 0. Each fit has its own stream, so the result depends on neither
+    /// the number of workers nor `n`.
+    pub seed: u64,
+    /// Number of fits that run in parallel; default: all cores.
+    pub workers: Option<usize>,
+}
+
+impl Default for BootstrapOptions {
+    fn default() -> Self {
+        Self { n: 200, kind: BootstrapKind::default(), seed: 0, workers: None }
+    }
+}
+
+/// Fits to synthetic measurements. `Display` prints a table.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct Bootstrap {
+    /// Names of the parameters.
+    pub names: Vec<String>,
+    /// Values of the original fit.
+    pub x: Vec<f64>,
+    /// Fitted values of the synthetic measurements, in the order of the random numbers, without failed fits.
+    pub samples: Vec<Vec<f64>>,
+    /// Number of fits that failed.
+    pub n_failed: usize,
+    /// Source of the errors.
+    pub kind: BootstrapKind,
+    /// Seed of the random numbers.
+    pub seed: u64,
+}
+
+impl Bootstrap {
+    /// Returns the sorted values of a parameter.
+    fn sorted(&self, i: usize) -> Vec<f64> {
+        let mut values: Vec<f64> = self.samples.iter().map(|x| x[i]).collect();
+        values.sort_unstable_by(f64::total_cmp);
+        values
+    }
+
+    /// Returns the standard deviation of each parameter; NaN for fewer than two fits.
+    pub fn standard_errors(&self) -> Vec<f64> {
+        let n = self.samples.len() as f64;
+        let of = |i: usize| {
+            let mean = self.samples.iter().map(|x| x[i]).sum::<f64>() / n;
+            let squares: f64 = self.samples.iter().map(|x| (x[i] - mean).powi(2)).sum();
+            (squares / (n - 1.0)).sqrt()
+        };
+        (0..self.x.len()).map(of).collect()
+    }
+
+    /// Returns the percentile intervals of the parameters at `level`, for example 0.95. Quantiles are
+    /// interpolated linearly between the ordered values.
+    ///
+    /// # Errors
+    /// Returns an error if the level is not between 0 and 1, or if no fit succeeded.
+    pub fn intervals(&self, level: f64) -> Result<Vec<(f64, f64)>, CalibrationError> {
+        if !(level > 0.0 && level < 1.0) || self.samples.is_empty() {
+            return Err(CalibrationError::Setup(format!(
+                "intervals require a level between 0 and 1 and a fit that succeeded, not level = {level} and {} fits",
+                self.samples.len()
+            )));
+        }
+        let of = |i: usize| {
+            let sorted = self.sorted(i);
+            let at = |p: f64| {
+                let place = p * (sorted.len() - 1) as f64;
+                let (below, part) = (place.floor() as usize, place.fract());
+                let above = (below + 1).min(sorted.len() - 1);
+                sorted[below] + part * (sorted[above] - sorted[below])
+            };
+            (at(0.5 - 0.5 * level), at(0.5 + 0.5 * level))
+        };
+        Ok((0..self.x.len()).map(of).collect())
+    }
+}
+
+/// Random numbers: SplitMix64 (Steele, Lea and Flood, OOPSLA 2014).
+struct Random(u64);
+
+impl Random {
+    /// Returns the stream with this number.
+    fn stream(seed: u64, number: usize) -> Self {
+        let mut own = Self(seed);
+        let first = own.next();
+        Self(first ^ (number as u64).wrapping_mul(0xD134_2543_DE82_EF95))
+    }
+
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^ (z >> 31)
+    }
+
+    /// Returns a number above 0 and below 1.
+    fn uniform(&mut self) -> f64 {
+        ((self.next() >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
+    }
+
+    /// Returns an index below `n`.
+    fn below(&mut self, n: usize) -> usize {
+        ((self.uniform() * n as f64) as usize).min(n - 1)
+    }
+
+    /// Returns a normally distributed number (Box and Muller, Annals of Mathematical Statistics 29, 1958).
+    fn normal(&mut self) -> f64 {
+        (-2.0 * self.uniform().ln()).sqrt() * (std::f64::consts::TAU * self.uniform()).cos()
+    }
+}
+
+/// Errors of an output, in units of its weighted residuals.
+struct Errors {
+    /// Centred and scaled residuals of the fit.
+    residuals: Vec<f64>,
+    /// Standard deviation of the parametric errors.
+    sd: f64,
+}
+
+impl Errors {
+    fn new(residuals: Vec<f64>, free_part: f64, is_known: bool) -> Self {
+        let n = residuals.len() as f64;
+        let scale = (1.0 / (1.0 - free_part)).sqrt();
+        let squares: f64 = residuals.iter().map(|r| r * r).sum();
+        let mean = residuals.iter().sum::<f64>() / n;
+        let sd = if is_known { 1.0 } else { scale * (squares / n).sqrt() };
+        Self { residuals: residuals.iter().map(|r| (r - mean) * scale).collect(), sd }
+    }
+
+    fn draw(&self, kind: BootstrapKind, random: &mut Random) -> Vec<f64> {
+        let (r, n) = (&self.residuals, self.residuals.len());
+        match kind {
+            BootstrapKind::Parametric => (0..n).map(|_| self.sd * random.normal()).collect(),
+            BootstrapKind::Residual => (0..n).map(|_| r[random.below(n)]).collect(),
+            BootstrapKind::Block => {
+                let length = (n as f64).cbrt().ceil() as usize;
+                let mut drawn = Vec::with_capacity(n + length);
+                while drawn.len() < n {
+                    let first = random.below(n);
+                    drawn.extend((first..first + length).map(|i| r[i % n]));
+                }
+                drawn.truncate(n);
+                drawn
+            }
+        }
+    }
+}
+
+impl Calibration {
+    /// Fits synthetic measurements: the simulation of a fit plus random errors. The fits start at the fitted
+    /// values, with the loss and the weights of the fit, and run in parallel. Priors and
+    /// measured initial states remain as they are.
+    ///
+    /// # Errors
+    /// Returns an error if the fit did not minimise a sum of squares, if there are no more measurements than
+    /// parameters, or if the simulation fails. Returns [`CalibrationError::Cancelled`] if the context has
+    /// ended.
+    pub fn bootstrap(
+        &self,
+        fit: &Fit,
+        options: &BootstrapOptions,
+        context: &RunContext<'_>,
+    ) -> Result<Bootstrap, CalibrationError> {
+        let _held = self.hold();
+        self.check_length(&fit.x)?;
+        let own = self.of_fit(fit)?;
+        own.as_ref().unwrap_or(self).own_bootstrap(fit, options, context)
+    }
+
+    /// Computes the bootstrap with the weights and the tolerance of the fit.
+    fn own_bootstrap(
+        &self,
+        fit: &Fit,
+        options: &BootstrapOptions,
+        context: &RunContext<'_>,
+    ) -> Result<Bootstrap, CalibrationError> {
+        let setup = |message: String| Err(CalibrationError::Setup(message));
+        if fit.objective != CostKind::default().name() {
+            return setup(format!(
+                "a bootstrap requires a sum of squares, but the fit minimised {}",
+                fit.objective
+            ));
+        }
+        let goodness = fit.goodness();
+        if goodness.nfree == 0 || options.n == 0 {
+            return setup(format!(
+                "a bootstrap requires more measurements ({}) than fitted parameters ({}), and n of at least 1, not {}",
+                goodness.ndata, goodness.nvarys, options.n
+            ));
+        }
+        let residuals = self.residuals(&fit.x, context)?;
+        let free_part = goodness.nvarys as f64 / goodness.ndata as f64;
+        let errors = |output: &OutputResiduals| {
+            let own = output.noisy_rows().map(|row| residuals[row]).collect();
+            Errors::new(own, free_part, output.is_noise_known || fit.noise == Some(FitNoise::Known))
+        };
+        let errors: Vec<Errors> = self.residual_layout().outputs.iter().map(errors).collect();
+        self.prepare()?;
+        let task = |number: usize, context: &RunContext<'_>| {
+            let mut random = Random::stream(options.seed, number);
+            let drawn: Vec<Vec<f64>> = errors.iter().map(|of| of.draw(options.kind, &mut random)).collect();
+            let fitted = self.with_errors(&residuals, &drawn)?.fit(FitOptions {
+                run: RunOptions { workers: Some(1), seed: Some(0), ..FitOptions::default_run() },
+                start: Some(fit.x.clone()),
+                loss: fit.report.loss.sparing(0),
+                noise: NoiseRule::Stated,
+                uncertainty: None,
+                context: *context,
+                ..FitOptions::default()
+            });
+            match fitted {
+                _ if context.is_over() => Err(CalibrationError::Cancelled),
+                fitted => Ok(fitted.ok().filter(|fit| fit.report.is_success()).map(|fit| fit.x)),
+            }
+        };
+        let workers = options.workers.unwrap_or_else(base::available_cores);
+        let made = parallel::map(options.n, workers, context, &task).into_iter();
+        let made: Vec<Option<Vec<f64>>> =
+            made.map(|x| x.unwrap_or(Err(CalibrationError::Cancelled))).collect::<Result<_, _>>()?;
+        let n_failed = made.iter().filter(|x| x.is_none()).count();
+        Ok(Bootstrap {
+            names: fit.names.clone(),
+            x: fit.x.clone(),
+            samples: made.into_iter().flatten().collect(),
+            n_failed,
+            kind: options.kind,
+            seed: options.seed,
+        })
+    }
+
+    /// Returns a copy whose measurements are the simulation plus these weighted errors.
+    fn with_errors(&self, residuals: &[f64], errors: &[Vec<f64>]) -> Result<Self, CalibrationError> {
+        let mut problem = self.problem().clone();
+        // New values by experiment and column, by time and old value.
+        let mut moved: BTreeMap<(usize, &str), NewValues> = BTreeMap::new();
+        for (output, errors) in self.residual_layout().outputs.iter().zip(errors) {
+            let column = moved.entry((output.experiment, &output.column)).or_default();
+            for (row, error) in output.noisy_rows().zip(errors) {
+                let k = row - output.range.start;
+                let (time, old) = (output.times[k], output.measured[k]);
+                let new = old + (residuals[row] + error) / output.weights[k];
+                column.entry((time.to_bits(), old.to_bits())).or_insert(new);
+            }
+        }
+        for ((experiment, column), values) in moved {
+            problem.experiments[experiment].data.replace(column, &values);
+        }
+        self.derived(problem)
+    }
+}
+
+impl fmt::Display for Bootstrap {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let names: Vec<String> = self.names.iter().map(|name| visible_line(name).into_owned()).collect();
+        let width = names.iter().map(|name| name.chars().count()).max().unwrap_or(0).max(9);
+        let n = self.samples.len();
+        write!(f, "{:<width$}  {:>12}  {:>12}  95 % interval of {n} fits", "parameter", "value", "error")?;
+        let intervals = self.intervals(0.95).unwrap_or_default();
+        for (i, (name, error)) in names.iter().zip(self.standard_errors()).enumerate() {
+            let [value, error] = [self.x[i], error].map(|value| digits(value).to_string());
+            write!(f, "\n{name:<width$}  {value:>12}  {error:>12}")?;
+            if let Some((low, high)) = intervals.get(i) {
+                write!(f, "  {} to {}", digits(*low), digits(*high))?;
+            }
+        }
+        if self.n_failed > 0 {
+            write!(f, "\n{} fits failed and are not included", self.n_failed)?;
+        }
+        Ok(())
+    }
+}
