@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ._calibration.check import Check, Finding
     from ._calibration.experiment import Experiment, Hold
     from ._calibration.export import load_fit
-    from ._calibration.fit import ChosenTolerance, Comparison, Fit, FitNoise, Goodness, OutputFit
+    from ._calibration.fit import Bootstrap, ChosenTolerance, Comparison, Fit, FitNoise, Goodness, OutputFit
     from ._calibration.parameter import LogNormal, Normal, Parameter
     from ._calibration.posterior import Posterior
     from ._calibration.profile import Profile
@@ -68,7 +68,7 @@ _HOMES = {
     "_errors": "AllStartsFailed BadCalibrationError BadModelValueError CalibrationError CalibrationWarning CheckpointError FmuError Interrupted ModelTypeError NoResult PydfoError SimulationError SimulationWarning UnknownVariableError",
     "_calibration.experiment": "Experiment Hold",
     "_model.files": "build_fmu clear_caches example_fmu",
-    "_calibration.fit": "ChosenTolerance Comparison Fit FitNoise Goodness OutputFit",
+    "_calibration.fit": "Bootstrap ChosenTolerance Comparison Fit FitNoise Goodness OutputFit",
     "_optimize.fmin": "fmin",
     "_optimize.least_squares": "least_squares",
     "_optimize.minimize": "minimize",
@@ -96,6 +96,7 @@ __all__ = [
     "BadCalibrationError",
     "BadModelValueError",
     "BarrierStage",
+    "Bootstrap",
     "Calibration",
     "CalibrationError",
     "CalibrationWarning",

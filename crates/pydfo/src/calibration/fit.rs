@@ -8,7 +8,7 @@ use crate::convert::object;
 use crate::convert::record::read;
 use crate::convert::report::{self, ResultKind};
 use crate::model::trajectory::Counts;
-use calibration::{Calibration, CalibrationError, Fit, OutputResiduals, RunContext, Table};
+use calibration::{BootstrapOptions, Calibration, CalibrationError, Fit, OutputResiduals, RunContext, Table};
 use numpy::{PyArray1, PyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -108,6 +108,21 @@ impl PyFit {
     /// Compares with another fit. Returns the fields of `pydfo.Comparison` and its text.
     fn compare<'py>(&self, py: Python<'py>, other: &Self) -> PyResult<(Bound<'py, PyAny>, String)> {
         let found = self.inner.compare(&other.inner).map_err(PyValueError::new_err)?;
+        Ok((object::to_python(py, &found)?, found.to_string()))
+    }
+
+    /// Returns the fields of `pydfo.Bootstrap` and its text.
+    fn bootstrap<'py>(
+        &self,
+        py: Python<'py>,
+        n: usize,
+        kind: &str,
+        seed: u64,
+        workers: Option<usize>,
+    ) -> PyResult<(Bound<'py, PyAny>, String)> {
+        let options = BootstrapOptions { n, kind: read("kind", kind)?, seed, workers };
+        let found =
+            self.compute(py, move |calibration, fit, context| calibration.bootstrap(fit, &options, context))?;
         Ok((object::to_python(py, &found)?, found.to_string()))
     }
 

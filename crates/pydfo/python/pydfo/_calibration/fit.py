@@ -122,6 +122,39 @@ class Comparison(NamedTuple):
         return self.text
 
 
+class Bootstrap(NamedTuple):
+    """Fits to synthetic measurements. ``print`` shows a table."""
+
+    names: list[str]
+    """Names of the parameters."""
+    x: FloatArray
+    """Values of the original fit."""
+    samples: FloatArray
+    """Fitted values, one row per fit, without failed fits."""
+    n_failed: int
+    """Number of fits that failed."""
+    kind: str
+    """Source of the synthetic errors."""
+    seed: int
+    """Seed of the random numbers."""
+    text: str
+    """The table."""
+
+    @property
+    def stderr(self) -> FloatArray:
+        """Standard deviation of each parameter."""
+        found: FloatArray = np.std(self.samples, axis=0, ddof=1)
+        return found
+
+    def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
+        """Returns the percentile interval of each parameter by name."""
+        low, high = np.quantile(self.samples, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0).tolist()
+        return dict(zip(self.names, zip(low, high)))
+
+    def __str__(self) -> str:
+        return self.text
+
+
 class ChosenTolerance(NamedTuple):
     """The relative tolerance that a fit chose for its simulations."""
 
@@ -346,6 +379,52 @@ class Fit(OptimizeResult):
     def bic(self) -> float:
         """Bayesian information criterion, as in lmfit; see `goodness`."""
         return self.goodness.bic
+
+    @explained
+    def bootstrap(
+        self,
+        n: SupportsFloat = 200,
+        kind: Literal["parametric", "residual", "block"] = "parametric",
+        seed: SupportsFloat = 0,
+        workers: SupportsFloat | None = None,
+    ) -> Bootstrap:
+        """Fits synthetic measurements, the simulation of this fit plus random errors.
+
+        The spread of the fitted values estimates the uncertainty without a linear model. Each fit starts at the fitted
+        values and uses the loss and weights of this fit. Priors and measured initial states do not change.
+
+        Parameters
+        ----------
+        n : int
+            Number of fits: about 200 for standard errors, 1000 for percentile intervals.
+        kind : {"parametric", "residual", "block"}
+            Errors: "parametric", normal with the known noise, or with the standard deviation of the residuals of each
+            output; "residual", residuals of the output drawn with replacement; "block", blocks of ``N**(1/3)``
+            consecutive residuals, for autocorrelated errors.
+        seed : int
+            Seed of the random numbers. The result depends on the seed, not on the number of workers.
+        workers : int, optional
+            Number of fits that run at once; default: all cores.
+
+        Returns
+        -------
+        Bootstrap
+            ``samples``, ``stderr`` and ``intervals(level)``; has ``print``.
+
+        Raises
+        ------
+        ValueError
+            The fit did not minimise a sum of squares, or there are no more measurements than parameters.
+        """
+        record, text = _export.native_of(self).bootstrap(
+            _values.limit("n", n, 1) or 0,
+            _values.choice("kind", kind),
+            _values.limit("seed", seed, 0) or 0,
+            _values.limit("workers", workers, 1),
+        )
+        return Bootstrap(
+            record["names"], np.array(record["x"]), np.array(record["samples"]), record["n_failed"], kind, record["seed"], text
+        )
 
     def compare(self, other: Fit) -> Comparison:
         """Compares this fit with a fit of another model to the same measurements.

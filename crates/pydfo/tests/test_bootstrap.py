@@ -1,0 +1,34 @@
+"""Bootstrap of a fit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pydfo import Calibration, Parameter, example_fmu
+
+T = np.arange(51) / 10
+
+
+@pytest.mark.parametrize("kind", ["parametric", "residual", "block"])
+def test_bootstrap_agrees_with_the_standard_errors_for_any_number_of_workers(kind: str) -> None:
+    x = np.exp(-2.0 * T) + 0.02 * np.random.default_rng(7).standard_normal(51)
+    fit = Calibration(example_fmu("dahlquist"), {"time": T, "x": x}, "x", [Parameter("k", 1.5, 0.1, 9)], sigma=0.02).fit()
+    found = fit.bootstrap(60, kind, seed=5, workers=2)
+    assert (found.samples.shape, found.n_failed, found.kind, found.seed) == ((60, 1), 0, kind, 5)
+    assert found.samples[:9].tobytes() == fit.bootstrap(9, kind, seed=5, workers=1).samples.tobytes()
+    assert abs(np.log(found.stderr[0] / fit.stderr[0])) < 0.4
+    low, high = found.intervals()["k"]
+    assert low < fit.x[0] < high and "95 % interval of 60 fits" in str(found)
+
+
+def test_bootstrap_reports_wrong_arguments() -> None:
+    data = {"time": T, "x": np.exp(-2.0 * T) + 0.01 * np.sin(9 * T)}
+    calibration = Calibration(example_fmu("dahlquist"), data, "x", [Parameter("k", 1.5, 0.1, 9)])
+    fit = calibration.fit()
+    with pytest.raises(ValueError, match="kind = 'jackknife' is invalid; expected one of"):
+        fit.bootstrap(5, "jackknife")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="n"):
+        fit.bootstrap(0)
+    with pytest.raises(ValueError, match="requires a sum of squares"):
+        calibration.fit(objective="likelihood").bootstrap(5)
