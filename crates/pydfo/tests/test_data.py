@@ -515,7 +515,7 @@ def test_check_accepts_sound_recordings(which):
     check = tank(recordings.quad_tank(which)).check()
     # The check is true if it contains findings, as every sequence; notes are not mistakes.
     assert check.ok and bool(check) == (len(check) > 0) and {f.severity for f in check} <= {"note"}, str(check)
-    assert [f.severity for f in check] == ["note"] and tuple(check) == check[:]
+    assert {f.id for f in check} <= {"F044", "F065"} and tuple(check) == check[:], str(check)
     outputs = {"armJoint.phi": "phi", "pendulumJoint.phi": "theta"}
     frictions = [Parameter("armFriction", 0.012, 0, 0.022), Parameter("pendulumFriction", 0.002, 0, 0.012)]
     assert Calibration(example_fmu("furuta"), recordings.furuta(which), outputs, frictions).check().ok

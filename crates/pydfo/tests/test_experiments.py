@@ -110,9 +110,8 @@ def test_held_input_equals_doubled_rows_and_is_not_reported():
     assert held.residuals([0.5]) == pytest.approx([*x, x[3] * np.exp(-2)], abs=1e-5)
     assert held.cost([0.5]) == of(doubled, "u").cost([0.5])
     assert held.cost([0.5]) != of(measured, "u").cost([0.5])
-    reported = [finding.id for finding in of(measured, "u").check(simulate=False)]
-    assert reported == ["F065"]
-    assert not list(held.check(simulate=False))
+    assert "F065" in {finding.id for finding in of(measured, "u").check(simulate=False)}
+    assert "F065" not in {finding.id for finding in held.check(simulate=False)}
     assert pickle.loads(pickle.dumps(held)).cost([0.5]) == held.cost([0.5])
 
 
@@ -129,7 +128,7 @@ def test_parameter_acts_only_in_its_experiments():
     assert calibration.residuals([1.0, 1.0])[-11:] == pytest.approx(np.zeros(11), abs=1e-5)
     local = Calibration(example_fmu("dahlquist"), runs, [SHARED_BUT_D, Parameter("x", 1.0, 0.1, 10.0, local=True, experiments=["a", "c"])])
     assert local.names == ["k", "x[a]", "x[c]"]
-    with pytest.raises(ValueError, match="'k' acts in the experiment 'e', which does not exist; available: a, b, c, d"):
+    with pytest.raises(ValueError, match="'k': acts in the experiment 'e', which does not exist; available: a, b, c, d"):
         Calibration(example_fmu("dahlquist"), runs, [Parameter("k", 1.0, 0.1, 10.0, experiments=["e"])])
     with pytest.raises(ValueError, match="sets the variable 'k', which parameter 'k of a and b' also sets"):
         Calibration(example_fmu("dahlquist"), runs, [parameters[0], Parameter("k", 1.0, 0.1, 10.0, experiments=["b", "c"])])

@@ -220,7 +220,11 @@ mod tests {
         assert_eq!(find(&["time", "t [ms]"], Some("t")), Ok((1, 3.0 / 1e3)));
         assert_eq!(find(&["t [h]"], Some("t [h]")), Ok((0, 3.0 * 3600.0)));
         for (names, named, expected) in [
-            (&["", "phi"][..], None, "column 'time' not found; available: '', 'phi'. Specify"),
+            (
+                &["", "phi"][..],
+                None,
+                "the first column has no name, as the index of a pandas table, and the others are 'phi'. If",
+            ),
             (&["time", "y"], Some("t"), "column 't' not found; available: 'time', 'y'"),
             (&["Time", "TIME"], None, "several columns may contain the times: 'Time', 'TIME'"),
             (&["time", "Time [ms]"], None, "several columns may contain the times: 'time', 'Time [ms]'"),

@@ -313,6 +313,8 @@ fn facts(fit: &Fit) -> Vec<Fact> {
         let [chisqr, redchi, p] = [goodness.chisqr, goodness.redchi, p].map(digits);
         ("goodness of fit", format!("chi-square {chisqr}, reduced {redchi}, p = {p}"))
     }));
+    let lack_of_fit = fit.uncertainty.as_ref().and_then(|uncertainty| uncertainty.lack_of_fit);
+    facts.extend(lack_of_fit.map(|test| ("replicates", test.to_string())));
     facts.push(("standard errors", errors(fit)));
     let counts =
         [(report.n_failed, "failed"), (report.n_lost, "lost"), (report.n_speculative, "speculative")];

@@ -8,7 +8,7 @@ use calibration::{
     Calibration, CalibrationBuilder, Data, Experiment, FitOptions, InitialState, Parameter, Prior, Scale,
     Table, Weight,
 };
-use dfo::{NelderMead, RunOptions};
+use dfo::{LeastSquares, NelderMead, RunOptions};
 use example_models::example_fmu;
 use fmi::Fmu;
 
@@ -240,7 +240,8 @@ fn delayed_output_is_compared_with_earlier_model_values() {
     rows[0].time.iter().zip(&rows[0].columns[0]).for_each(|(t, x)| assert_near(*x, measured(*t), 1e-5));
     let fits: Vec<_> = [(1, true), (3, true), (1, false)]
         .map(|(workers, cutoffs)| {
-            let run = RunOptions { workers: Some(workers), ..FitOptions::default_run() };
+            let method = LeastSquares::default().serial().into();
+            let run = RunOptions { method, workers: Some(workers), ..FitOptions::default_run() };
             calibration.fit(FitOptions { cutoffs, ..run.into() }).unwrap()
         })
         .into();

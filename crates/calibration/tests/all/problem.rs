@@ -7,7 +7,7 @@ use calibration::RunContext;
 use calibration::{
     Calibration, CalibrationBuilder, CalibrationError, Data, Experiment, FitOptions, Parameter, Problem,
 };
-use dfo::{Answer, Limits, Objective, Outcome, Query, RunOptions, Want};
+use dfo::{Answer, LeastSquares, Limits, Objective, Outcome, Query, RunOptions, Want};
 use example_models::example_fmu;
 use fmi::Fmu;
 use std::sync::atomic::AtomicBool;
@@ -83,7 +83,8 @@ fn cost_is_bitwise_identical_on_every_path() {
     let mut found = Vec::new();
     for (workers, cutoffs) in [(1, true), (1, false), (3, true)] {
         let limits = Limits { max_evaluations: Some(40), ..Limits::default() };
-        let run = RunOptions { limits, workers: Some(workers), ..FitOptions::default_run() };
+        let method = LeastSquares::default().serial().into();
+        let run = RunOptions { method, limits, workers: Some(workers), ..FitOptions::default_run() };
         let fit = calibration.fit(FitOptions { cutoffs, ..run.into() }).unwrap();
         assert_eq!(fit.cost.to_bits(), calibration.cost(&fit.x, &RunContext::new()).unwrap().to_bits());
         assert_eq!(
@@ -281,7 +282,10 @@ fn experiment_from_record_equals_experiment_from_methods() {
         ),
         (r#"{"data": "run.csv", "outputs": ["x"], "weights": "rnge"}"#, "'range'"),
         (r#"{"data": "run.csv", "inputs": {"u": [1]}}"#, "must be the name of a column, { column = "),
-        (r#"{"data": "run.csv", "inputs": {"u": {"hodl": true}}}"#, "did you mean 'hold'?"),
+        (
+            r#"{"data": "run.csv", "inputs": {"u": {"hodl": true}}}"#,
+            "unknown field of an input 'hodl'; expected one of: column, hold",
+        ),
         (
             r#"{"data": "run.csv", "time": "t", "initial_states": {"x": "recorded"}}"#,
             "a number, 'measured', or a parameter",

@@ -6,7 +6,7 @@ use calibration::{
     Calibration, CalibrationBuilder, Data, Experiment, Fit, FitOptions, Parameter, ProfileOptions, SavedFit,
     Severity, Stage,
 };
-use dfo::{AnyMethod, RunOptions, Tolerances};
+use dfo::{AnyMethod, LeastSquares, RunOptions, Tolerances};
 use example_models::example_fmu;
 use fmi::Fmu;
 use fmi::RunSettings;
@@ -50,7 +50,9 @@ fn oscillator(folder: &TempDir, noise: f64) -> CalibrationBuilder {
 
 fn run(f_tol: f64) -> RunOptions<AnyMethod> {
     let run = FitOptions::default_run();
-    RunOptions { tolerances: Tolerances { f_tol, ..run.tolerances }, workers: Some(1), ..run }
+    let (method, tolerances) =
+        (LeastSquares::default().serial().into(), Tolerances { f_tol, ..run.tolerances });
+    RunOptions { method, tolerances, workers: Some(1), ..run }
 }
 
 /// True if a finding reports a noisy cost.

@@ -44,7 +44,8 @@ fn fit_is_correct_when_the_model_has_hidden_state() {
     let methods: [AnyMethod; 4] = [
         DifferentialEvolution::default().into(),
         NelderMead::default().into(),
-        LeastSquares::default().into(),
+        // The cost has a minimum at the limit above which the model remembers. Rounds may end there.
+        LeastSquares::default().serial().into(),
         Multistart::default().into(),
     ];
     for method in methods {

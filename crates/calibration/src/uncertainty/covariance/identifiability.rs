@@ -491,7 +491,7 @@ impl Uncertainty {
         }
         if !self.is_exact {
             said.extend(ResidualCheck::all_findings(&self.residual_checks, self.has_loss, true));
-            said.extend(self.lack_of_fit.map(|test| test.finding()));
+            said.extend(self.lack_of_fit.and_then(|test| test.finding()));
             said.extend(self.correction());
         }
         said.extend(self.accuracy_finding(f_tol));

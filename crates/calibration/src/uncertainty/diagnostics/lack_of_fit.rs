@@ -1,11 +1,12 @@
 //! Test of the residuals against the pure error of replicates.
 
-use crate::findings::finding::{Finding, Origin, Severity};
+use crate::findings::finding::{Finding, Origin};
 use crate::findings::identifier::FindingId;
 use crate::findings::shown_text::digits;
 use crate::problem::residual_layout::ResidualLayout;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
+use std::fmt;
 
 /// Probability below which a lack of fit is reported as a warning, the usual level of a strict test.
 const UNLIKELY: f64 = 0.01;
@@ -57,23 +58,27 @@ impl LackOfFit {
         Some(Self { pure_error, pure_degrees_of_freedom: own, degrees_of_freedom: others, f, p })
     }
 
-    /// Returns the finding about the test.
-    pub(crate) fn finding(&self) -> Finding {
-        let [f, p, error] = [self.f, self.p, self.pure_error].map(digits);
-        let (severity, meaning, remedy) = match self.p < UNLIKELY {
-            true => (
-                Severity::Warning,
-                "The model lacks an effect that exceeds the scatter of the replicates",
-                "Plot the residuals, and look for a missing effect or a wrong input",
-            ),
-            false => (Severity::Note, "The residuals are no larger than the scatter of the replicates", ""),
-        };
-        let degrees = [self.degrees_of_freedom, self.pure_degrees_of_freedom].map(|n| digits(n.round()));
-        let sentence = format!(
-            "the lack of fit is F({}, {}) = {f} (p = {p}), with the pure error {error} of the replicates. {meaning}",
-            degrees[0], degrees[1]
-        );
-        Finding::new(severity, FindingId::LackOfFit, "replicates", sentence, remedy).of(Origin::Residuals)
+    /// Returns the finding about a lack of fit that is unlikely to be chance.
+    pub(crate) fn finding(&self) -> Option<Finding> {
+        let meaning = "The model lacks an effect that exceeds the scatter of the replicates";
+        let remedy = "Plot the residuals, and look for a missing effect or a wrong input";
+        (self.p < UNLIKELY).then(|| {
+            Finding::warning(FindingId::LackOfFit, "replicates", format!("{self}. {meaning}"), remedy)
+                .of(Origin::Residuals)
+        })
+    }
+}
+
+/// Describes the test.
+impl fmt::Display for LackOfFit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [ratio, p, error] = [self.f, self.p, self.pure_error].map(digits);
+        let [first, second] =
+            [self.degrees_of_freedom, self.pure_degrees_of_freedom].map(|n| digits(n.round()));
+        write!(
+            f,
+            "the lack of fit is F({first}, {second}) = {ratio} (p = {p}), with the pure error {error} of the replicates"
+        )
     }
 }
 
@@ -108,8 +113,9 @@ mod tests {
         // The means 1, 0 and -1 leave a sum of squares of 4 with 1 degree of freedom. F(1, 3) is the square of
         // Student's t with 3 degrees of freedom: p = 0.2522 for t = sqrt(2).
         assert!((test.f - 2.0).abs() < 1e-15 && (test.p - 0.2522).abs() < 1e-4, "{test:?}");
-        let sentence = test.finding().sentence;
-        assert!(sentence.starts_with("the lack of fit is F(1, 3) = 2 (p = 0.252)"), "{sentence}");
+        assert!(test.finding().is_none());
+        let sentence = test.to_string();
+        assert!(sentence.starts_with("the lack of fit is F(1, 3) = 2 (p = 0.2522)"), "{sentence}");
         assert!(LackOfFit::new(&layout(), &[1.0; 6], 4.0).is_none());
     }
 }
