@@ -124,12 +124,12 @@ mod tests {
     #[test]
     fn context_ends_when_cancelled_or_late() {
         let flag = AtomicBool::new(false);
-        let asked = std::cell::Cell::new(false);
-        let ask = || asked.get();
+        let requested = std::cell::Cell::new(false);
+        let ask = || requested.get();
         let (by_flag, by_asking) = (RunContext::new().flagged(&flag), RunContext::new().asking(&ask));
         assert!(!by_flag.is_over() && !by_asking.is_over());
         flag.store(true, Ordering::Relaxed);
-        asked.set(true);
+        requested.set(true);
         assert!(by_flag.is_cancelled() && by_asking.is_cancelled() && !by_asking.is_late());
     }
 

@@ -404,8 +404,8 @@ mod tests {
             .stdout(std::process::Stdio::piped())
             .spawn()
             .unwrap();
-        let mut said = [0; 6];
-        owner.stdout.as_mut().unwrap().read_exact(&mut said).unwrap();
+        let mut reported = [0; 6];
+        owner.stdout.as_mut().unwrap().read_exact(&mut reported).unwrap();
         let error = Claim::new(&path, false).unwrap_err();
         assert_eq!((error.kind(), error.to_string().contains("4711")), (io::ErrorKind::ResourceBusy, true));
         owner.kill().unwrap();

@@ -35,8 +35,8 @@ fn main() {
 fn echo() {
     let mut socket =
         UnixStream::from(std::os::fd::AsFd::as_fd(&std::io::stdin()).try_clone_to_owned().unwrap());
-    let (mut asked, answer) = ([0; ASKED], vec![1; ANSWER]);
-    while socket.read_exact(&mut asked).is_ok() {
+    let (mut requested, answer) = ([0; ASKED], vec![1; ANSWER]);
+    while socket.read_exact(&mut requested).is_ok() {
         socket.write_all(&answer).unwrap();
     }
 }
@@ -73,9 +73,9 @@ fn overhead() {
         .stdin(Stdio::from(OwnedFd::from(theirs)))
         .spawn()
         .unwrap();
-    let (asked, mut answer) = ([0; ASKED], vec![0; ANSWER]);
+    let (requested, mut answer) = ([0; ASKED], vec![0; ANSWER]);
     let mut ping = || {
-        socket.write_all(&asked).unwrap();
+        socket.write_all(&requested).unwrap();
         socket.read_exact(&mut answer).unwrap();
     };
     let (here, apart) = (calibration(Isolation::None), calibration(Isolation::Process));

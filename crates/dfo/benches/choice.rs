@@ -26,7 +26,7 @@ struct Problem {
     start: Vec<f64>,
     bounds: Option<(Vec<f64>, Vec<f64>)>,
     seen: Cost,
-    judged: Cost,
+    assessed: Cost,
     best: f64,
 }
 
@@ -37,7 +37,14 @@ impl Problem {
         best: f64,
         f: impl Fn(&[f64]) -> f64 + Clone + Send + Sync + 'static,
     ) -> Self {
-        Self { name: name.into(), start, bounds: None, seen: Box::new(f.clone()), judged: Box::new(f), best }
+        Self {
+            name: name.into(),
+            start,
+            bounds: None,
+            seen: Box::new(f.clone()),
+            assessed: Box::new(f),
+            best,
+        }
     }
 
     fn bounded(self, lower: Vec<f64>, upper: Vec<f64>) -> Self {
@@ -219,7 +226,7 @@ fn run(p: &Problem, method: AnyMethod, budget: usize, own: bool) -> Report {
 fn history(p: &Problem, report: &Report) -> Vec<f64> {
     let mut least = f64::INFINITY;
     let each = report.trace.iter().map(|e| {
-        let cost = (p.judged)(e.x);
+        let cost = (p.assessed)(e.x);
         least = if cost < least { cost } else { least };
         least
     });
@@ -256,7 +263,7 @@ fn main() {
             })
             .collect();
         let goal = |k: usize, tau: f64| {
-            let first = (set.problems[k].judged)(&set.problems[k].start);
+            let first = (set.problems[k].assessed)(&set.problems[k].start);
             first - (1.0 - tau) * (first - best[k])
         };
         println!("\n{}: {} problems, {} (n + 1) evaluations", set.name, best.len(), set.budget);

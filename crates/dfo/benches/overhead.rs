@@ -196,7 +196,7 @@ fn main() {
     }
     const COUNT: usize = 200_000;
     println!("microseconds per evaluation, n = {N}: ask + tell, whole driven run");
-    let line = |name: &str, asked: f64, whole: f64| println!("{name:28} {asked:8.3} {whole:8.3}");
+    let line = |name: &str, requested: f64, whole: f64| println!("{name:28} {requested:8.3} {whole:8.3}");
     for plan in [Lookahead::None, Lookahead::Points(2), Lookahead::Points(4), Lookahead::Points(20)] {
         let options = NelderMead::default().batch(plan);
         line(&format!("nelder-mead {}", plan.name()), overhead(&options, COUNT, 0), driven(options));
@@ -207,9 +207,9 @@ fn main() {
     line("de-classic", overhead(&classic, COUNT, 0), driven(classic));
     line("ga", overhead(&Genetic::default(), COUNT, 0), driven(Genetic::default()));
     for m in [20, 800] {
-        let asked = overhead(&LeastSquares::default(), COUNT / 20, m);
+        let requested = overhead(&LeastSquares::default(), COUNT / 20, m);
         let bar = 20.0 + 1e-3 * (m * N * N) as f64;
-        println!("{:28} {asked:8.3}          (at most {bar:.0})", format!("least-squares, m = {m}"));
+        println!("{:28} {requested:8.3}          (at most {bar:.0})", format!("least-squares, m = {m}"));
     }
     for population in [10, 100, 1000, 10_000] {
         let options = CmaEs::default().population(population);
@@ -218,8 +218,8 @@ fn main() {
     let serial = PatternSearch::default().batch(Lookahead::None);
     line("pattern-search", overhead(&serial, COUNT, 0), driven(serial));
     for n in [2, 5, N, 20, 50] {
-        let asked = overhead_of(&QuadraticModel::default(), 20_000 / n, (n, 0));
-        println!("quadratic-model, n = {n:2}          {asked:8.1}");
+        let requested = overhead_of(&QuadraticModel::default(), 20_000 / n, (n, 0));
+        println!("quadratic-model, n = {n:2}          {requested:8.1}");
     }
     let (one, two) = (seconds(1), seconds(2));
     println!(

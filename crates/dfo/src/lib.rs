@@ -64,7 +64,7 @@ mod values;
 
 pub use base::RunContext;
 pub use error::{Error, NothingFound};
-pub use evaluation::{BatchView, CutoffUse, Evaluator, Polled, Wait};
+pub use evaluation::{BatchView, CutoffUse, Evaluator, PollResult, Wait};
 pub use method_interface::interface::{
     AnswersSoFar, BarrierStage, Batch, Lookahead, Method, MethodDetails, MethodOptions, Operation, Optimum,
     ProblemClass, Roughness, Setup, Simplex, SimplexView, Status,

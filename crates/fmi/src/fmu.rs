@@ -63,7 +63,7 @@ struct Inner {
     /// True if a worker process has left the repetition of a simulation to its caller.
     is_to_be_repeated: AtomicBool,
     /// Subjects of messages that simulations have logged. Each subject is logged once.
-    said: Mutex<Vec<&'static str>>,
+    reported: Mutex<Vec<&'static str>>,
     workers: Mutex<std::sync::Weak<Workers>>,
     description: ModelDescription,
     options: OpenOptions,
@@ -155,7 +155,7 @@ impl Fmu {
             reuse: AtomicU8::default(),
             n_late: AtomicU64::new(0),
             is_to_be_repeated: AtomicBool::new(false),
-            said: Mutex::default(),
+            reported: Mutex::default(),
             workers: Mutex::default(),
             description,
             options: OpenOptions { cancel: CancelRequest::default(), ..options.clone() },
@@ -357,10 +357,10 @@ impl Fmu {
 
     /// Sends a message about simulations of the FMU to the program's logger, once per subject.
     pub(crate) fn say_once(&self, level: log::Level, subject: &'static str, message: &str) {
-        let mut said = self.inner.said.lock().unwrap_or_else(PoisonError::into_inner);
-        if !said.contains(&subject) {
+        let mut reported = self.inner.reported.lock().unwrap_or_else(PoisonError::into_inner);
+        if !reported.contains(&subject) {
             log::log!(level, "{}: {message}", self.description().model_name);
-            said.push(subject);
+            reported.push(subject);
         }
     }
 

@@ -60,7 +60,7 @@ pub(crate) struct Lines {
 impl Lines {
     /// Adds a line. If the store is full, the new line reuses the buffers of the oldest one.
     pub(crate) fn push(&mut self, status: Status, category: &[u8], text: &[u8]) {
-        let is_asked = |asked: &String| asked.as_bytes() == category;
+        let is_asked = |requested: &String| requested.as_bytes() == category;
         if status == Status::Ok && !self.categories.is_empty() && !self.categories.iter().any(is_asked) {
             return;
         }

@@ -51,7 +51,7 @@ impl Default for OpenOptions {
 #[derive(Debug, Clone, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct LogOptions {
     /// Requests logging from the FMU. FMUs may also log important lines without a request.
-    pub asked: bool,
+    pub requested: bool,
     /// Requested categories; empty for all (see
     /// [`Instance::log_categories`](crate::Instance::log_categories)).
     pub categories: Vec<String>,

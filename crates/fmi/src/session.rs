@@ -38,7 +38,7 @@ pub struct Session {
 struct Last {
     /// Simulator with the final values.
     simulator: Simulator,
-    asked: SimulateOptions,
+    requested: SimulateOptions,
     /// Values of the parameters of the plan.
     values: Option<Vec<f64>>,
 }
@@ -184,8 +184,8 @@ impl Session {
         names: &[String],
         poll: &mut dyn FnMut() -> ControlFlow<()>,
     ) -> Result<Vec<Value>> {
-        let (asked, values) = self.with_parameters(self.with_values(options));
-        let is_last = |last: &Last| last.values == values && last.asked.is_same(&asked);
+        let (requested, values) = self.with_parameters(self.with_values(options));
+        let is_last = |last: &Last| last.values == values && last.requested.is_same(&requested);
         if !self.last.as_ref().is_some_and(is_last) {
             if options.has_input_functions() {
                 let gone = "the final values of the simulation are no longer available, because its process \
@@ -265,12 +265,12 @@ impl Session {
         options: &SimulateOptions,
         poll: &mut dyn FnMut() -> ControlFlow<()>,
     ) -> Result<Trajectory> {
-        let (asked, values) = self.with_parameters(self.with_values(options));
+        let (requested, values) = self.with_parameters(self.with_values(options));
         self.initial = None;
         let mut simulator = match self.last.take() {
-            Some(last) if last.asked.is_same(&asked) => last.simulator,
+            Some(last) if last.requested.is_same(&requested) => last.simulator,
             last => {
-                let plan = match SimulationPlan::new(&self.fmu, &asked) {
+                let plan = match SimulationPlan::new(&self.fmu, &requested) {
                     Ok(plan) => Arc::new(plan),
                     // Invalid options leave the session unchanged.
                     Err(error) => {
@@ -286,7 +286,7 @@ impl Session {
         let plan = Arc::clone(simulator.plan());
         let given = values.as_deref().unwrap_or(plan.parameter_starts());
         let trajectory = simulator.trajectory_with(given, poll)?;
-        self.last = Some(Last { simulator, asked, values });
+        self.last = Some(Last { simulator, requested, values });
         self.pending.clear();
         Ok(trajectory)
     }

@@ -489,8 +489,8 @@ fn rejected_archives_leave_nothing_behind() {
         .envs(["TMPDIR", "TMP", "TEMP"].map(|variable| (variable, folder.path())))
         .output()
         .unwrap();
-    let said = String::from_utf8_lossy(&output.stdout);
-    assert!(output.status.success() && said.contains("1 passed"), "{said}");
+    let reported = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success() && reported.contains("1 passed"), "{reported}");
     assert_eq!(names_in(folder.path()), Vec::<PathBuf>::new());
 }
 

@@ -64,9 +64,9 @@ fn is_alone(test: &str) -> bool {
         .envs(["TMPDIR", "TMP", "TEMP"].map(|variable| (variable, folder.path())))
         .output()
         .unwrap();
-    let said = String::from_utf8_lossy(&output.stdout);
+    let reported = String::from_utf8_lossy(&output.stdout);
     let complaints = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success() && said.contains("1 passed"), "{said}{complaints}");
+    assert!(output.status.success() && reported.contains("1 passed"), "{reported}{complaints}");
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0, "something was left behind");
     false
 }

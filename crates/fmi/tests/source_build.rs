@@ -59,9 +59,9 @@ fn in_own_environment(test: &str, variables: &[(&str, &str)], body: fn()) {
         .envs(variables.iter().copied())
         .output()
         .unwrap();
-    let said = String::from_utf8_lossy(&output.stdout);
+    let reported = String::from_utf8_lossy(&output.stdout);
     let complained = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success() && said.contains("1 passed"), "{said}{complained}");
+    assert!(output.status.success() && reported.contains("1 passed"), "{reported}{complained}");
 }
 
 fn cache() -> PathBuf {

@@ -26,9 +26,9 @@ impl ExperimentSubject<'_> {
     /// Returns the durations in s of the recording and of the default experiment of the model.
     pub(super) fn durations(&self) -> Option<(f64, f64)> {
         let suggested = &self.description.default_experiment;
-        let asked = suggested.stop_time? - suggested.start_time.unwrap_or(0.0);
+        let requested = suggested.stop_time? - suggested.start_time.unwrap_or(0.0);
         let time = self.experiment.data.time();
-        (asked > 0.0).then(|| (time[time.len() - 1] - time[0], asked))
+        (requested > 0.0).then(|| (time[time.len() - 1] - time[0], requested))
     }
 
     /// Returns a different unit in which values of a variable may be recorded. Returns `None` if the model

@@ -246,12 +246,12 @@ mod tests {
             let kept = || (0..400).filter(|k| !left_out.contains(k));
             Rows { times: kept().map(|k| all.times[k]).collect(), values: kept().map(sine).collect() }
         };
-        let said = without(150..250).gap(&all.times, true).unwrap().0;
+        let reported = without(150..250).gap(&all.times, true).unwrap().0;
         assert!(
-            said.starts_with(
+            reported.starts_with(
                 "the input has no value from 7.45 s to 12.5 s (5.05 s), elsewhere one every 0.05 s. "
             ),
-            "{said}"
+            "{reported}"
         );
         assert!(without(150..152).gap(&all.times, true).is_none());
         assert!(without(150..153).gap(&all.times, false).unwrap().0.ends_with("holds the last value there"));
@@ -260,10 +260,10 @@ mod tests {
         let kept = || (0..400).filter(|k| !(100..260).contains(k) && !(300..310).contains(k));
         let square =
             Rows { times: kept().map(|k| all.times[k]).collect(), values: kept().map(square).collect() };
-        let said = square.gap(&all.times, true).unwrap().0;
+        let reported = square.gap(&all.times, true).unwrap().0;
         assert!(
-            said.contains("(8.05 s), elsewhere one every 0.05 s, and 1 more such gaps, 8.6 s in total"),
-            "{said}"
+            reported.contains("(8.05 s), elsewhere one every 0.05 s, and 1 more such gaps, 8.6 s in total"),
+            "{reported}"
         );
         // The recording itself has no rows in the gap.
         let gap = without(150..250);

@@ -12,10 +12,10 @@ fn unit_by_duration(subject: &ExperimentSubject<'_>) -> Option<&'static str> {
     if subject.experiment.data.has_dates() {
         return None;
     }
-    let (duration, asked) = subject.durations()?;
+    let (duration, requested) = subject.durations()?;
     let interval = sampling_interval(subject.experiment.data.time())?;
     let units = [(1e3, "ms"), (1e6, "us"), (1.0 / 60.0, "min"), (1.0 / 3600.0, "h")];
-    let unit = units.into_iter().find(|(factor, _)| (duration / asked / factor - 1.0).abs() < 0.02);
+    let unit = units.into_iter().find(|(factor, _)| (duration / requested / factor - 1.0).abs() < 0.02);
     // A row spacing in ms or us is at least one.
     unit.filter(|(factor, _)| *factor < 1.0 || interval >= 0.5).map(|(_, unit)| unit)
 }
@@ -25,13 +25,13 @@ pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
     let ExperimentSubject { prefix, experiment, start_time, .. } = subject;
     let (data, mut findings) = (&experiment.data, Vec::new());
     let (name, first) = (format!("{prefix}{}", data.source()), data.time()[0]);
-    if let Some((unit, (duration, asked))) = unit_by_duration(subject).zip(subject.durations()) {
-        let [duration, asked] = [duration, asked].map(|seconds| Number(rounded(seconds)));
+    if let Some((unit, (duration, requested))) = unit_by_duration(subject).zip(subject.durations()) {
+        let [duration, requested] = [duration, requested].map(|seconds| Number(rounded(seconds)));
         findings.push(Finding::warning(
             FindingId::TimeUnit,
             name.clone(),
             format!(
-                "the recording lasts {duration} s, but the default experiment of the model lasts {asked} s. The times are probably in {unit}"
+                "the recording lasts {duration} s, but the default experiment of the model lasts {requested} s. The times are probably in {unit}"
             ),
             format!("State the unit in the name of the column: 'time [{unit}]'"),
         ));

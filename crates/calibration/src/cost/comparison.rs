@@ -33,7 +33,7 @@ pub(crate) const NOT_REPRODUCED: &str =
 /// The very first question, and the answer of an unused process.
 #[derive(Debug, Clone)]
 pub(super) struct FirstQuestion {
-    pub(super) asked: Frame,
+    pub(super) requested: Frame,
     pub(super) limits: AnswerLimits,
     /// The question without parameter values. A question with a different shape replaces the first one,
     /// because the first one may take longer.
@@ -46,7 +46,7 @@ pub(super) struct FirstQuestion {
 impl FirstQuestion {
     /// Returns the question, to be repeated during another one.
     pub(super) fn during<'a>(&'a self, other: &Question<'a>) -> Question<'a> {
-        Question { asked: &self.asked, limits: self.limits, is_repetition: true, ..*other }
+        Question { requested: &self.requested, limits: self.limits, is_repetition: true, ..*other }
     }
 }
 
@@ -89,20 +89,22 @@ impl Comparisons {
 /// Returns the bits of an answer; empty for a failed simulation. Returns `None` if the answer depends
 /// on the clock: the context or a time limit may have ended the simulation.
 pub(super) fn bits_of<T>(
-    told: &Result<T, FmiError>,
+    reported: &Result<T, FmiError>,
     answer: &Frame,
     question: &Question<'_>,
 ) -> Option<Vec<u64>> {
     if question.context.is_over() {
         return None;
     }
-    match told {
+    match reported {
         Ok(_) if answer.numbers.is_empty() => match answer.head::<Evaluated>().ok()?.cost {
             Err(ReportedCostFailure::Failed { kind: FailureKind::TimedOut, .. }) => None,
             _ => Some(Vec::new()),
         },
         Ok(_) => Some(answer.numbers.iter().map(|number| number.to_bits()).collect()),
-        Err(FmiError::ReportedError(told)) if !told.is_of_process() && question.limits.run.is_none() => {
+        Err(FmiError::ReportedError(reported))
+            if !reported.is_of_process() && question.limits.run.is_none() =>
+        {
             Some(Vec::new())
         }
         Err(_) => None,

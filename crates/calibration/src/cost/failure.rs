@@ -77,7 +77,7 @@ impl ReportedCostFailure {
     /// True if the failure concerns the process or its files rather than the point.
     pub(crate) fn is_of_process(&self) -> bool {
         match self {
-            Self::Over(told) => told.is_of_process(),
+            Self::Over(reported) => reported.is_of_process(),
             Self::Failed { source, .. } => source.as_ref().is_some_and(ReportedError::is_of_process),
             Self::Above | Self::Cancelled => false,
         }
@@ -89,21 +89,21 @@ impl From<CostFailure> for ReportedCostFailure {
         match no_cost {
             CostFailure::Above => Self::Above,
             CostFailure::Cancelled => Self::Cancelled,
-            CostFailure::Over(error) => Self::Over(error.told()),
+            CostFailure::Over(error) => Self::Over(error.reported()),
             CostFailure::Failed { kind, reason, message, source } => {
-                Self::Failed { kind, reason, message, source: source.map(|source| source.told()) }
+                Self::Failed { kind, reason, message, source: source.map(|source| source.reported()) }
             }
         }
     }
 }
 
 impl From<ReportedCostFailure> for CostFailure {
-    fn from(told: ReportedCostFailure) -> Self {
-        let error = |told: ReportedError| Box::new(FmiError::ReportedError(Box::new(told)));
-        match told {
+    fn from(reported: ReportedCostFailure) -> Self {
+        let error = |reported: ReportedError| Box::new(FmiError::ReportedError(Box::new(reported)));
+        match reported {
             ReportedCostFailure::Above => Self::Above,
             ReportedCostFailure::Cancelled => Self::Cancelled,
-            ReportedCostFailure::Over(told) => Self::Over(error(told)),
+            ReportedCostFailure::Over(reported) => Self::Over(error(reported)),
             ReportedCostFailure::Failed { kind, reason, message, source } => {
                 Self::Failed { kind, reason, message, source: source.map(error) }
             }

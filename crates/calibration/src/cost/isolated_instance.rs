@@ -129,20 +129,20 @@ impl IsolatedInstance {
         if !process.is_own() {
             return Err(FmiError::Freed(FORKED));
         }
-        let (asked, answer) = &mut self.frames;
-        asked.set_head(job).map_err(unsaid)?;
-        asked.numbers.clear();
-        asked.numbers.extend_from_slice(given);
+        let (requested, answer) = &mut self.frames;
+        requested.set_head(job).map_err(unsaid)?;
+        requested.numbers.clear();
+        requested.numbers.extend_from_slice(given);
         let limits = AnswerLimits { run: limit, runs: 0, size: process.limits().answer_size() };
-        let question = Question { asked, context, limits, is_repetition: false };
-        let told = process.call(&question, answer, &mut |answer| {
+        let question = Question { requested, context, limits, is_repetition: false };
+        let reported = process.call(&question, answer, &mut |answer| {
             std::mem::swap(vector, &mut answer.numbers);
             answer.head()
         });
         if process.has_ended() {
             self.free(LOST);
         }
-        let (answer, quirks) = told.map_err(|error| with_hint(&self.fmu, error))?;
+        let (answer, quirks) = reported.map_err(|error| with_hint(&self.fmu, error))?;
         self.fmu.add_quirks(quirks);
         Ok(answer)
     }

@@ -113,10 +113,10 @@ mod tests {
     #[test]
     fn map_begins_no_task_and_ends_running_ones_after_cancellation() {
         for workers in [1, 2] {
-            let asked = std::cell::Cell::new(0);
+            let requested = std::cell::Cell::new(0);
             let cancelled = || {
-                asked.set(asked.get() + 1);
-                asked.get() > 2
+                requested.set(requested.get() + 1);
+                requested.get() > 2
             };
             let waited = map(100, workers, &RunContext::new().asking(&cancelled), &|_, context| {
                 while !context.is_over() {

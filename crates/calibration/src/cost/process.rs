@@ -104,8 +104,8 @@ impl Processes {
     ) -> Result<T, FmiError> {
         let _held = self.workers.hold();
         let frames = || self.frames.lock().unwrap_or_else(PoisonError::into_inner);
-        let (mut asked, mut answer) = frames().pop().unwrap_or_default();
-        asked.set_head(job).map_err(unsaid)?;
+        let (mut requested, mut answer) = frames().pop().unwrap_or_default();
+        requested.set_head(job).map_err(unsaid)?;
         let reuse = self.fmu.reuse();
         let whom = match process {
             _ if reuse == Reuse::NewProcess => Some(AskedProcess::FreshOnce),
@@ -118,14 +118,14 @@ impl Processes {
             }
             _ => Some(AskedProcess::Any),
         };
-        asked.needs_new_instance =
+        requested.needs_new_instance =
             reuse != Reuse::Reset || (process == ProcessChoice::Any && !self.comparisons.has_passed(reuse));
-        let question = Question { asked: &asked, context, limits, is_repetition: false };
+        let question = Question { requested: &requested, context, limits, is_repetition: false };
         let accepted = match whom {
             Some(whom) => self.call(&question, &mut answer, accept, whom, None),
             None => self.ask_compared(job, &question, &mut answer, accept),
         };
-        frames().push((asked, answer));
+        frames().push((requested, answer));
         accepted
     }
 
@@ -134,20 +134,20 @@ impl Processes {
     /// reason or still does not.
     fn explain(
         &self,
-        told: &ReportedError,
+        reported: &ReportedError,
         job: &Job,
         limits: AnswerLimits,
         context: &RunContext<'_>,
         failure_of: impl FnOnce(Result<Frame, FmiError>) -> Option<ReportedError>,
     ) -> Option<ReportedError> {
-        if told.status.is_none() || !told.log.is_empty() || self.fmu.options().logging.asked {
+        if reported.status.is_none() || !reported.log.is_empty() || self.fmu.options().logging.requested {
             return None;
         }
-        let (asked, mut answer) = (Frame::of(job).ok()?, Frame::default());
-        let question = Question { asked: &asked, context, limits, is_repetition: false };
+        let (requested, mut answer) = (Frame::of(job).ok()?, Frame::default());
+        let question = Question { requested: &requested, context, limits, is_repetition: false };
         let whom = AskedProcess::FreshOnce;
         let called = self.workers.call(&self.logging, &question, &mut answer, &mut |_| Ok(()), whom, None);
-        failure_of(called.map(|_| answer)).filter(|told| !told.log.is_empty())
+        failure_of(called.map(|_| answer)).filter(|reported| !reported.log.is_empty())
     }
 
     fn call<T>(
@@ -182,16 +182,16 @@ impl Processes {
         };
         let mut known = first().clone().filter(|first| first.n_changes == n_changes && first.shape == shape);
         if let Some(known) = &mut known {
-            known.asked.needs_new_instance = question.asked.needs_new_instance;
+            known.requested.needs_new_instance = question.requested.needs_new_instance;
         }
-        let is_first = known.as_ref().is_some_and(|known| known.asked == *question.asked);
+        let is_first = known.as_ref().is_some_and(|known| known.requested == *question.requested);
         let mut repeat = known.as_ref().filter(|_| !is_first).map(|known| Repeat {
             question: known.during(question),
             answer: Frame::default(),
             outcome: None,
         });
-        let told = self.call(question, answer, accept, AskedProcess::Any, repeat.as_mut());
-        let Some(own) = bits_of(&told, answer, question) else { return told };
+        let reported = self.call(question, answer, accept, AskedProcess::Any, repeat.as_mut());
+        let Some(own) = bits_of(&reported, answer, question) else { return reported };
         let again = match repeat {
             Some(Repeat { question, answer, outcome }) => {
                 outcome.and_then(|outcome| bits_of(&outcome, &answer, &question))
@@ -201,17 +201,17 @@ impl Processes {
         let known = match known {
             Some(known) => known,
             None => {
-                let (asked, limits) = (question.asked.clone(), question.limits);
-                let mut new = FirstQuestion { asked, limits, shape, n_changes, bits: Vec::new() };
+                let (requested, limits) = (question.requested.clone(), question.limits);
+                let mut new = FirstQuestion { requested, limits, shape, n_changes, bits: Vec::new() };
                 let is_own = !answer.is_of_used_process;
                 let bits = if is_own { Some(own) } else { self.bits_in_fresh(&new, question) };
-                let Some(bits) = bits else { return told };
+                let Some(bits) = bits else { return reported };
                 new.bits = bits;
                 first().insert(new).clone()
             }
         };
         if !answer.is_of_used_process {
-            return told;
+            return reported;
         }
         let Some(again) = again else {
             // An answer that could not be compared does not count.
@@ -222,7 +222,7 @@ impl Processes {
         };
         if again == known.bits {
             self.comparisons.note_passed(reuse);
-            return told;
+            return reported;
         }
         match self.bits_in_fresh(&known, question) {
             Some(fresh) if fresh != known.bits => {
@@ -239,8 +239,8 @@ impl Processes {
     /// Returns the bits of a fresh process's answer to the first question, during another question.
     fn bits_in_fresh(&self, first: &FirstQuestion, during: &Question<'_>) -> Option<Vec<u64>> {
         let (question, mut answer) = (first.during(during), Frame::default());
-        let told = self.call(&question, &mut answer, &mut |_| Ok(()), AskedProcess::FreshOnce, None);
-        bits_of(&told, &answer, &question)
+        let reported = self.call(&question, &mut answer, &mut |_| Ok(()), AskedProcess::FreshOnce, None);
+        bits_of(&reported, &answer, &question)
     }
 
     /// Switches to the next way of resetting the model, because answers of used processes differ from answers
@@ -271,13 +271,13 @@ impl Processes {
         let is_driven = matches!(job, Job::Simulate(options) if options.has_input_functions());
         let process = if is_driven { ProcessChoice::Any } else { ProcessChoice::Compared };
         self.ask(job, process, limits, context, &mut accept).map_err(|error| {
-            let FmiError::ReportedError(told) = error else { return error };
+            let FmiError::ReportedError(reported) = error else { return error };
             let failure_of = |called| match called {
-                Err(FmiError::ReportedError(told)) => Some(*told),
+                Err(FmiError::ReportedError(reported)) => Some(*reported),
                 _ => None,
             };
-            let explained = self.explain(&told, job, limits, context, failure_of);
-            FmiError::ReportedError(explained.map_or(told, Box::new))
+            let explained = self.explain(&reported, job, limits, context, failure_of);
+            FmiError::ReportedError(explained.map_or(reported, Box::new))
         })
     }
 }
@@ -413,7 +413,8 @@ impl Remote {
         let runs = if cutoff.is_finite() { self.n_experiments.saturating_mul(2) } else { self.n_experiments };
         let limits = self.limits(runs, FrameSize::of_numbers(n as u64));
         let mut evaluated = self.processes.ask(&job, process, limits, &context, &mut accept);
-        if process != ProcessChoice::Fresh && matches!(&evaluated, Ok((Err(told), _)) if told.is_of_process())
+        if process != ProcessChoice::Fresh
+            && matches!(&evaluated, Ok((Err(reported), _)) if reported.is_of_process())
         {
             // A used process may have lost resources that it needs.
             let again = self.processes.ask(&job, ProcessChoice::Fresh, limits, &context, &mut accept);
@@ -436,7 +437,9 @@ impl Remote {
         limits: AnswerLimits,
         context: &RunContext<'_>,
     ) -> ReportedCostFailure {
-        let ReportedCostFailure::Failed { reason, source: Some(told), .. } = &failure else { return failure };
+        let ReportedCostFailure::Failed { reason, source: Some(reported), .. } = &failure else {
+            return failure;
+        };
         let is_alone = process == ProcessChoice::Compared;
         if !is_alone {
             let mut known = self.processes.explained.lock().unwrap_or_else(PoisonError::into_inner);
@@ -454,14 +457,14 @@ impl Remote {
                 _ => None,
             }
         };
-        let told = self.processes.explain(told, job, limits, context, failure_of);
-        match (told, explained) {
+        let reported = self.processes.explain(reported, job, limits, context, failure_of);
+        match (reported, explained) {
             (Some(_), Some(explained)) if is_alone => explained,
-            (Some(told), _) => {
+            (Some(reported), _) => {
                 let model = &self.processes.fmu.description().model_name;
-                log::warn!("{model}: {reason} without a message; {LOG_ON}: {}", told.message);
+                log::warn!("{model}: {reason} without a message; {LOG_ON}: {}", reported.message);
                 let mut known = self.processes.explained.lock().unwrap_or_else(PoisonError::into_inner);
-                known.insert(reason.clone(), Some(told.message));
+                known.insert(reason.clone(), Some(reported.message));
                 failure
             }
             _ => failure,

@@ -78,8 +78,8 @@ impl Job {
     /// Switches the log of the model on if the job opens a model.
     pub(super) fn switch_log_on(&mut self) {
         match self {
-            Self::Load(loaded) => loaded.options.logging.asked = true,
-            Self::Open(_, options) => options.logging.asked = true,
+            Self::Load(loaded) => loaded.options.logging.requested = true,
+            Self::Open(_, options) => options.logging.requested = true,
             _ => {}
         }
     }

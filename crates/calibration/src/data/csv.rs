@@ -230,10 +230,10 @@ fn no_memory(source_name: &str) -> CalibrationError {
 }
 
 /// True for each column whose numbers are kept: the times and the requested columns.
-fn kept(names: &[String], at: usize, asked: Option<&[String]>) -> Vec<bool> {
-    let mut is_kept = vec![asked.is_none(); names.len()];
+fn kept(names: &[String], at: usize, requested: Option<&[String]>) -> Vec<bool> {
+    let mut is_kept = vec![requested.is_none(); names.len()];
     is_kept[at] = true;
-    for name in asked.unwrap_or_default() {
+    for name in requested.unwrap_or_default() {
         // Missing or ambiguous names cause an error when they are used.
         if let Ok(index) = find_column(names.iter().map(String::as_str), name) {
             is_kept[index] = true;

@@ -44,7 +44,7 @@ impl Goodness {
         let (n, k, nfree) = (ndata as f64, nvarys as f64, ndata.saturating_sub(nvarys));
         let likelihood = n * (chisqr / n).ln();
         let aic = likelihood + 2.0 * k;
-        let room = n - k - 1.0;
+        let capacity = n - k - 1.0;
         let of = ChiSquared::new(nfree as f64).ok().filter(|_| is_noise_known);
         Self {
             ndata,
@@ -53,7 +53,7 @@ impl Goodness {
             chisqr,
             redchi: chisqr / nfree.max(1) as f64,
             aic,
-            aicc: if room > 0.0 { aic + 2.0 * k * (k + 1.0) / room } else { f64::INFINITY },
+            aicc: if capacity > 0.0 { aic + 2.0 * k * (k + 1.0) / capacity } else { f64::INFINITY },
             bic: likelihood + k * n.ln(),
             p_value: of.map(|of| of.sf(chisqr)),
         }

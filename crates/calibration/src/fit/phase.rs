@@ -79,7 +79,7 @@ pub struct PhaseCost {
 /// Phases of a fit in order, with their cost.
 #[derive(Debug)]
 pub(crate) struct Phases {
-    told: Arc<CurrentPhase>,
+    reported: Arc<CurrentPhase>,
     taken: [Effort; FitPhase::ALL.len()],
     /// Active phase, the time at which it began, and the effort before it.
     now: (FitPhase, Instant, Effort),
@@ -87,9 +87,9 @@ pub(crate) struct Phases {
 
 impl Phases {
     /// Creates the record of the phases. `told` is updated when a phase begins.
-    pub(crate) fn new(told: Arc<CurrentPhase>) -> Self {
-        let now = (told.get(), Instant::now(), Effort::default());
-        Self { told, taken: Default::default(), now }
+    pub(crate) fn new(reported: Arc<CurrentPhase>) -> Self {
+        let now = (reported.get(), Instant::now(), Effort::default());
+        Self { reported, taken: Default::default(), now }
     }
 
     /// Ends a phase and begins this one. `stats` counts all simulations of the fit so far.
@@ -107,13 +107,13 @@ impl Phases {
         self.now = (phase, Instant::now(), Effort::of(stats, Duration::ZERO));
         // This phase runs in parallel with the phases after it.
         if phase != FitPhase::FreshProcess {
-            self.told.set(phase);
+            self.reported.set(phase);
         }
     }
 
     /// Returns the shared record of the current phase.
-    pub(crate) fn told(&self) -> Arc<CurrentPhase> {
-        Arc::clone(&self.told)
+    pub(crate) fn reported(&self) -> Arc<CurrentPhase> {
+        Arc::clone(&self.reported)
     }
 
     /// Moves part of the cost of one phase to another phase.

@@ -317,7 +317,7 @@ impl Calibration {
             true => made.budget(),
             false => made.budget().requiring(Extra::ShorterSteps),
         };
-        let (mut fit, _) = this.judged(own.as_ref().unwrap_or(this), &job, made, stats, budget);
+        let (mut fit, _) = this.assessed(own.as_ref().unwrap_or(this), &job, made, stats, budget);
         fit.phases = job.phases.borrow_mut().costs(&fit.stats);
         fit.stages = done.fits;
         match &mut fit.uncertainty {
@@ -371,7 +371,7 @@ impl Calibration {
                 }),
                 context: job.context,
                 engine: job.engine.clone(),
-                phase: job.phases.borrow().told(),
+                phase: job.phases.borrow().reported(),
                 live: job.live.clone(),
             };
             let (mut fit, kept) =

@@ -6,7 +6,7 @@ use crate::error::CalibrationError;
 use crate::fit::one_stage::SimulationExecutor;
 use crate::loaded::calibration::Calibration;
 use base::files::{read_regular, write_atomically};
-use dfo::{Answer, Evaluator, Outcome, Polled, Query, RobustLoss, Wait};
+use dfo::{Answer, Evaluator, Outcome, PollResult, Query, RobustLoss, Wait};
 use ode::Stats;
 use std::cell::{Cell, RefCell};
 use std::collections::{HashMap, VecDeque};
@@ -172,13 +172,13 @@ impl Evaluator for JobDriver {
         self.submitted.push(Submitted { id: query.id, name, point });
     }
 
-    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled {
+    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> PollResult {
         answer.clear();
         if let Some(id) = self.skipped.pop_front() {
-            return Polled::Answered(id);
+            return PollResult::Answered(id);
         }
         if self.submitted.is_empty() {
-            return Polled::Idle;
+            return PollResult::Idle;
         }
         while self.pause.wait(wait.until) {
             let found = self.look(answer);
@@ -186,16 +186,16 @@ impl Evaluator for JobDriver {
             if let Some(error) = &*self.shared.error.borrow() {
                 answer.clear();
                 answer.outcome = Outcome::Abort(error.to_string());
-                return Polled::Answered(self.submitted.remove(0).id);
+                return PollResult::Answered(self.submitted.remove(0).id);
             }
             self.shared.is_waiting.set(found.is_none());
             if let Some(id) = found {
                 self.pause = Pause::new();
-                return Polled::Answered(id);
+                return PollResult::Answered(id);
             }
             self.pause.extend();
         }
-        Polled::Waiting
+        PollResult::Waiting
     }
 
     fn cancel(&mut self, id: u64) {

@@ -400,8 +400,8 @@ impl Calibration {
             Err(CostFailure::Above) => Outcome::Above(query.cutoff),
             Err(CostFailure::Cancelled) => Outcome::cancelled(),
             Err(CostFailure::Over(error)) => {
-                let told = self.evaluator.over.get_or_init(|| error.told());
-                Outcome::Abort(told.message.clone())
+                let reported = self.evaluator.over.get_or_init(|| error.reported());
+                Outcome::Abort(reported.message.clone())
             }
             Err(CostFailure::Failed { kind, reason, .. }) => {
                 Outcome::Failed(Failure { kind, message: reason })
@@ -417,10 +417,10 @@ impl Calibration {
     /// `error`.
     pub(crate) fn over_or(&self, error: CalibrationError) -> CalibrationError {
         match (error, self.evaluator.over.get()) {
-            (CalibrationError::Optimiser(search), Some(told))
-                if search.to_string().contains(&told.message) =>
+            (CalibrationError::Optimiser(search), Some(reported))
+                if search.to_string().contains(&reported.message) =>
             {
-                FmiError::ReportedError(Box::new(told.clone())).into()
+                FmiError::ReportedError(Box::new(reported.clone())).into()
             }
             (error, _) => error,
         }

@@ -80,11 +80,11 @@ impl Server {
 impl Server {
     fn respond(
         &mut self,
-        asked: &Frame,
+        requested: &Frame,
         context: &RunContext<'_>,
         answer: &mut Frame,
     ) -> Result<(), FmiError> {
-        match asked.head::<Job>().map_err(unsaid)? {
+        match requested.head::<Job>().map_err(unsaid)? {
             Job::Load(loaded) => self.load(*loaded).map_err(model_error)?,
             Job::Open(model, options) => drop(self.open(model, &options).map_err(model_error)?),
             Job::Simulate(options) => {
@@ -108,7 +108,7 @@ impl Server {
             }
             Job::Instance(call) => {
                 let instance = self.instance.as_mut().ok_or_else(not_loaded)?;
-                let done = instance.call(call, &asked.numbers, &mut answer.numbers, context)?;
+                let done = instance.call(call, &requested.numbers, &mut answer.numbers, context)?;
                 answer.set_head(&done).map_err(unsaid)?;
             }
             job => {
@@ -123,14 +123,14 @@ impl Server {
 impl Service for Server {
     fn answer(
         &mut self,
-        asked: &Frame,
+        requested: &Frame,
         context: &RunContext<'_>,
         answer: &mut Frame,
     ) -> Result<(), FmiError> {
         if let Some(fmu) = self.fmu() {
-            fmu.set_reuse(if asked.needs_new_instance { Reuse::Reinstantiate } else { Reuse::Reset });
+            fmu.set_reuse(if requested.needs_new_instance { Reuse::Reinstantiate } else { Reuse::Reset });
         }
-        let outcome = self.respond(asked, context, answer);
+        let outcome = self.respond(requested, context, answer);
         let is_repeated = self.fmu().is_some_and(Fmu::take_repetition);
         if is_repeated && !context.is_over() {
             answer.clear();

@@ -140,11 +140,11 @@ mod tests {
             .settings(settings)
             .build()
             .unwrap();
-        let asked = serde_json::json!({
+        let requested = serde_json::json!({
             "loss": "huber", "f_scale": 0.77, "max_evaluations": 777, "max_failed": 0.44, "covariance": null, "rng": 17
         });
-        let dfo::Value::Record(asked) = asked.into() else { panic!("no record") };
-        let options = FitOptions::from_record(asked, 1).unwrap();
+        let dfo::Value::Record(requested) = requested.into() else { panic!("no record") };
+        let options = FitOptions::from_record(requested, 1).unwrap();
         let record = options.record().unwrap();
         let again = FitOptions::from_record(record.clone(), 1).unwrap();
         assert_eq!((again.record().unwrap(), &again.run), (record.clone(), &options.run));
@@ -248,9 +248,9 @@ mod tests {
             "{text}"
         );
         assert!(text.contains("Standard errors: k 0.05 %. 1 warning, 1 note.\n"), "{text}");
-        let said = "\nwarning  k is at its upper bound 10. The best value may lie beyond [F001 at-bound]\n         -> Widen the bound if larger or \
+        let reported = "\nwarning  k is at its upper bound 10. The best value may lie beyond [F001 at-bound]\n         -> Widen the bound if larger or \
                     smaller values are possible\nnote     the residuals are not white [F015 outliers]\n         -> Wait\n";
-        assert!(text.contains(said), "{text}");
+        assert!(text.contains(reported), "{text}");
         fit.uncertainty.as_mut().unwrap().standard_errors = vec![f64::INFINITY];
         fit.uncertainty.as_mut().unwrap().uncorrected_covariance = None;
         // The data determine the parameter, but no residual is left to estimate its error.
@@ -286,11 +286,11 @@ mod tests {
         fit.report.message = "f_tol reached".to_owned();
         let text = fit.to_string();
         assert!(text.contains("rate of decay  1  -> 2.0001"), "{text}");
-        for said in [
+        for reported in [
             "\nwarning  the data do not determine rate of decay: other values fit equally well [F003 undetermined-parameter]\n",
             "\nnote     all is well [F015 outliers]\n",
         ] {
-            assert!(text.contains(said), "{text}");
+            assert!(text.contains(reported), "{text}");
         }
         assert!(text.contains(": f_tol reached\n"), "{text}");
         assert!(fit.to_html().contains("rate of decay"));

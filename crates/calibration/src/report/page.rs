@@ -255,15 +255,15 @@ fn settings(calibration: &Calibration, fit: &Fit) -> Vec<Fact> {
     facts.extend(tolerance.map(|tolerance| ("relative tolerance", tolerance)));
     let limit = settings.run.timeout.map(|limit| Number(limit.as_secs_f64()).to_string());
     facts.extend(limit.map(|limit| ("time limit of a simulation in s", limit)));
-    let mut told = setup::options(&fit.options, &TOLD_BESIDE);
+    let mut reported = setup::options(&fit.options, &TOLD_BESIDE);
     for (k, stage) in fit.stages.iter().enumerate() {
         let own = setup::options(&stage.options, &TOLD_BESIDE).into_iter();
         let own = own.map(|(name, value)| format!("{name} {value}")).collect::<Vec<_>>().join("; ");
-        told.push((format!("options of stage {}", k + 1), own));
+        reported.push((format!("options of stage {}", k + 1), own));
     }
-    told.extend(setup::settings(settings, &["solver", "relative_tolerance", "timeout"]));
-    let told = told.into_iter().map(|(name, value)| Fact { name: name.into(), value });
-    facts.into_iter().map(fact).chain(told).collect()
+    reported.extend(setup::settings(settings, &["solver", "relative_tolerance", "timeout"]));
+    let reported = reported.into_iter().map(|(name, value)| Fact { name: name.into(), value });
+    facts.into_iter().map(fact).chain(reported).collect()
 }
 
 /// Options of a fit that appear in other lines.

@@ -12,9 +12,9 @@ pub(super) type Described = (String, String);
 
 /// Returns the options of a fit that differ from the defaults, by their user-visible names, except those in
 /// `but`.
-pub(super) fn options(asked: &Record, but: &[&str]) -> Vec<Described> {
+pub(super) fn options(requested: &Record, but: &[&str]) -> Vec<Described> {
     let usual = FitOptions::default().record().unwrap_or_default();
-    others(asked, &usual, but)
+    others(requested, &usual, but)
 }
 
 /// Returns the settings of simulations that differ from the defaults, except those in `but`.
@@ -29,12 +29,13 @@ pub(super) fn settings(settings: &SimulationSettings, but: &[&str]) -> Vec<Descr
 /// Returns the values of a record that differ from another record.
 fn others(own: &Record, usual: &Record, but: &[&str]) -> Vec<Described> {
     let is_told = |name: &str, value: &Value| !but.contains(&name) && usual.get(name) != Some(value);
-    let told = own.iter().filter(|(name, value)| is_told(name, value));
-    told.map(|(name, value)| match (name.as_str(), value) {
-        ("warm_start", Value::List(points)) => (name.clone(), format!("{} points", points.len())),
-        _ => (name.clone(), words(value)),
-    })
-    .collect()
+    let reported = own.iter().filter(|(name, value)| is_told(name, value));
+    reported
+        .map(|(name, value)| match (name.as_str(), value) {
+            ("warm_start", Value::List(points)) => (name.clone(), format!("{} points", points.len())),
+            _ => (name.clone(), words(value)),
+        })
+        .collect()
 }
 
 /// Formats a value for readers.

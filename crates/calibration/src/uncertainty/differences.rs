@@ -152,7 +152,7 @@ impl Center<'_> {
     }
 
     /// Returns the longest steps that the bounds allow in a direction, backward and forward.
-    fn room(&self, step: &Step) -> (f64, f64) {
+    fn capacity(&self, step: &Step) -> (f64, f64) {
         let (mut backward, mut forward) = (f64::INFINITY, f64::INFINITY);
         for (k, d) in step.direction.iter().enumerate().filter(|(_, d)| **d != 0.0) {
             let ((lower, upper), u) = (self.bounds(k), self.coordinate(k));
@@ -166,7 +166,7 @@ impl Center<'_> {
     /// Returns the start and end of a step, as multiples of its direction. A step is symmetric, or one-sided
     /// if there is no room on the other side. Returns `None` if there is no room on either side.
     fn span(&self, step: &Step) -> Option<(f64, f64)> {
-        let ((backward, forward), t) = (self.room(step), step.length);
+        let ((backward, forward), t) = (self.capacity(step), step.length);
         let least = TOO_NARROW * t;
         if backward.min(forward) >= least {
             let t = t.min(backward).min(forward);

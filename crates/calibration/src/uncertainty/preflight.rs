@@ -221,7 +221,7 @@ impl Calibration {
             findings: Vec::new(),
             n_simulations: simulations.n,
         };
-        preflight.findings = preflight.judged();
+        preflight.findings = preflight.assessed();
         preflight.findings.extend(self.gaps_of_inputs());
         sort(&mut preflight.findings);
         Ok(preflight)
@@ -288,8 +288,8 @@ fn confounded(columns: &[(usize, Vec<f64>)]) -> Vec<(usize, usize, f64)> {
 }
 
 impl Preflight {
-    fn judged(&self) -> Vec<Finding> {
-        let mut said = Vec::new();
+    fn assessed(&self) -> Vec<Finding> {
+        let mut reported = Vec::new();
         for check in &self.parameters {
             let ParameterCheck { name, moved_to, failure, has_effect, .. } = check;
             let Some(to) = moved_to else { continue };
@@ -297,9 +297,9 @@ impl Preflight {
                 Some(reason) => {
                     let sentence = format!("the simulation with {name} = {} fails: {reason}", digits(*to));
                     let remedy = "Choose another start value, or bounds that exclude such values";
-                    said.push(Finding::warning(FindingId::FailedNearStart, name, sentence, remedy));
+                    reported.push(Finding::warning(FindingId::FailedNearStart, name, sentence, remedy));
                 }
-                None if !has_effect => said.push(
+                None if !has_effect => reported.push(
                     Finding::warning(
                         FindingId::ParameterWithoutEffect,
                         name,
@@ -323,7 +323,7 @@ impl Preflight {
                 sentence,
                 "If their standard errors are too large after the fit, fix one, add a prior, or record an experiment that distinguishes them",
             );
-            said.push(finding.of(Origin::Search));
+            reported.push(finding.of(Origin::Search));
         }
         if self.noise > 1e-3 {
             let remedy = match self.is_step_halved {
@@ -338,10 +338,10 @@ impl Preflight {
                 digits(self.noise),
                 Accuracy::words(self.is_step_halved)
             );
-            said.push(Finding::warning(FindingId::InaccurateSimulation, "cost", sentence, remedy));
+            reported.push(Finding::warning(FindingId::InaccurateSimulation, "cost", sentence, remedy));
         }
-        sort(&mut said);
-        said
+        sort(&mut reported);
+        reported
     }
 
     /// Returns a relative tolerance of the cost that the simulations can meet: the larger of `f_tol` and
@@ -357,13 +357,18 @@ impl fmt::Display for Preflight {
         let width = self.parameters.iter().map(|p| name(&p.name).len()).max().unwrap_or(0).max(9);
         writeln!(f, "{:<width$}  {:>12}  sensitivity", "parameter", "start")?;
         for check in &self.parameters {
-            let said = match (&check.failure, check.sensitivity, check.moved_to) {
+            let reported = match (&check.failure, check.sensitivity, check.moved_to) {
                 (_, _, None) => "fixed".to_owned(),
                 (Some(_), ..) => "the simulation fails".to_owned(),
                 (_, Some(sensitivity), _) if check.has_effect => digits(sensitivity).to_string(),
                 _ => "changes no output".to_owned(),
             };
-            writeln!(f, "{:<width$}  {:>12}  {said}", name(&check.name), digits(check.start).to_string())?;
+            writeln!(
+                f,
+                "{:<width$}  {:>12}  {reported}",
+                name(&check.name),
+                digits(check.start).to_string()
+            )?;
         }
         write!(f, "cost {}", digits(self.cost))?;
         if let Some(accurate) = self.accurate_cost {

@@ -295,12 +295,12 @@ impl Uncertainty {
     /// Returns findings about the covariance as text: parameters that are undetermined or treated as known.
     /// The text is empty if there are none.
     pub fn message(&self) -> String {
-        let mut said: Vec<String> = self.undetermined_findings().iter().map(Finding::advice).collect();
+        let mut reported: Vec<String> = self.undetermined_findings().iter().map(Finding::advice).collect();
         if !self.held.is_empty() {
             let names: Vec<&str> = self.held.iter().map(|i| self.names[*i].as_str()).collect();
-            said.push(format!("at a bound or fixed, treated as known: {}", names.join(", ")));
+            reported.push(format!("at a bound or fixed, treated as known: {}", names.join(", ")));
         }
-        said.join(". ")
+        reported.join(". ")
     }
 
     /// Returns all findings as sentences; empty if there are none.

@@ -155,14 +155,14 @@ mod tests {
         assert!(r.nrows() == p && (r.tr_mul(&r) - &squares).amax() < 1e-12 * squares.amax());
         let few = triangle(&tall, std::slice::from_ref(&(5..8)), &context).unwrap();
         assert_eq!(few, tall.rows(5, 3).into_owned());
-        let asked = Cell::new(0);
+        let requested = Cell::new(0);
         let ask = || {
-            asked.set(asked.get() + 1);
-            asked.get() == 3
+            requested.set(requested.get() + 1);
+            requested.get() == 3
         };
         let cancelled = RunContext::new().asking(&ask);
         assert!(matches!(thin_svd(&tall, &cancelled), Err(CalibrationError::Cancelled)));
-        assert_eq!(asked.get(), 3);
+        assert_eq!(requested.get(), 3);
         assert!(thin_svd(&DMatrix::zeros(3, 0), &context).unwrap().is_none());
     }
 }

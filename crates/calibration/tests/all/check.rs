@@ -73,7 +73,7 @@ fn with_u2(experiment: Experiment) -> Experiment {
     experiment.input("u2", "u2")
 }
 
-fn said(check: &Check) -> Vec<String> {
+fn reported(check: &Check) -> Vec<String> {
     check.findings.iter().filter(|f| f.severity != Severity::Note).map(ToString::to_string).collect()
 }
 
@@ -145,7 +145,7 @@ fn check_reports_mistakes() {
             Err(error) => panic!("{expected}: {error}"),
         };
         let check = calibration.check();
-        assert!(said(&check).iter().any(|text| text.contains(expected)), "{expected}:\n{check}");
+        assert!(reported(&check).iter().any(|text| text.contains(expected)), "{expected}:\n{check}");
         assert!(!check.is_ok());
     }
 }
@@ -176,10 +176,10 @@ fn check_reports_temperatures_in_degrees_celsius() {
             .build()
             .unwrap()
             .check();
-        let said = said(&check).concat();
-        assert_eq!(said.contains("as degC from K"), is_said, "{check}");
-        assert_eq!(said.contains("as in 'outlet [degC]'"), is_said, "{check}");
-        assert!(!said.contains("rpm") && !check.to_string().contains("[mm]"), "{check}");
+        let reported = reported(&check).concat();
+        assert_eq!(reported.contains("as degC from K"), is_said, "{check}");
+        assert_eq!(reported.contains("as in 'outlet [degC]'"), is_said, "{check}");
+        assert!(!reported.contains("rpm") && !check.to_string().contains("[mm]"), "{check}");
     }
 }
 
@@ -187,7 +187,7 @@ fn check_reports_temperatures_in_degrees_celsius() {
 fn check_returns_only_notes_for_correct_setups() {
     let (time, columns) = tank_recording();
     let check = tank(time, columns, with_u2).build().unwrap().check();
-    assert!(check.is_ok() && said(&check).is_empty(), "{check}");
+    assert!(check.is_ok() && reported(&check).is_empty(), "{check}");
     assert_eq!(check.findings.len(), 2, "{check}");
     assert!(check.to_string().contains("the values switch between 2 levels (jumps: 1)"), "{check}");
     assert!(
@@ -209,7 +209,7 @@ fn check_returns_only_notes_for_correct_setups() {
         .build()
         .unwrap()
         .check();
-    assert!(said(&check).is_empty(), "{check}");
+    assert!(reported(&check).is_empty(), "{check}");
 
     let shared = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/exhaust_measurements.csv");
     if !shared.is_file() {
@@ -224,7 +224,7 @@ fn check_returns_only_notes_for_correct_setups() {
         .build()
         .unwrap()
         .check();
-    assert!(said(&check).is_empty(), "{check}");
+    assert!(reported(&check).is_empty(), "{check}");
 }
 
 #[test]
@@ -288,10 +288,10 @@ fn check_ignores_the_start_value_of_a_fitted_state() {
 #[test]
 fn check_findings_are_updated_after_the_fit() {
     let calibration = fast_decay([0.02, 0.02]);
-    let said = "the simulation starts at -7.5";
-    assert!(calibration.check().to_string().contains(said), "{}", calibration.check());
+    let reported = "the simulation starts at -7.5";
+    assert!(calibration.check().to_string().contains(reported), "{}", calibration.check());
     let fit = calibration.fit(FitOptions::default()).unwrap();
-    assert!((fit.x[1] - 0.9).abs() < 0.02 && !fit.to_string().contains(said), "{fit}");
+    assert!((fit.x[1] - 0.9).abs() < 0.02 && !fit.to_string().contains(reported), "{fit}");
     assert!(!fit.report.message.contains("measurement"), "{}", fit.report.message);
 }
 
@@ -369,9 +369,9 @@ fn check_reports_mistakes_in_input_columns() {
             .build()
             .unwrap();
         let check = calibration.check_with(&NO_SIMULATION, &RunContext::new()).unwrap();
-        let said = check.findings.iter().map(ToString::to_string);
-        let is_other = |said: &String| !said.contains("F044") && !said.contains("F065");
-        said.filter(|said| said.contains("'u1'") && is_other(said)).collect::<Vec<_>>()
+        let reported = check.findings.iter().map(ToString::to_string);
+        let is_other = |reported: &String| !reported.contains("F044") && !reported.contains("F065");
+        reported.filter(|reported| reported.contains("'u1'") && is_other(reported)).collect::<Vec<_>>()
     };
     let sine = |t: f64| 5.0 + (0.65 * t).sin();
     let near = |t: f64, other: f64| (t - other).abs() < 0.01;
@@ -384,8 +384,8 @@ fn check_reports_mistakes_in_input_columns() {
         ),
     ];
     for (u1, expected) in mistakes {
-        let said = with_u1("u1", u1);
-        assert!(said.len() == 1 && said[0].contains(expected), "{expected}: {said:?}");
+        let reported = with_u1("u1", u1);
+        assert!(reported.len() == 1 && reported[0].contains(expected), "{expected}: {reported:?}");
     }
     let sound: [&dyn Fn(f64) -> f64; 6] = [
         &sine,
@@ -396,8 +396,8 @@ fn check_reports_mistakes_in_input_columns() {
         &|t| if (t / 7.0).fract() < 0.5 { 0.0 } else { 10.0 },
     ];
     for (which, u1) in sound.into_iter().enumerate() {
-        let said = with_u1("u1", u1);
-        assert!(said.is_empty(), "{which}: {said:?}");
+        let reported = with_u1("u1", u1);
+        assert!(reported.is_empty(), "{which}: {reported:?}");
     }
 }
 
@@ -417,7 +417,7 @@ fn check_reports_an_input_in_degrees_celsius() {
             .build()
             .unwrap();
         let check = calibration.check_with(&NO_SIMULATION, &RunContext::new()).unwrap();
-        let said = "the values lie between 20 and 31.8 K, but the start value of the model is 550, as with degC instead of K";
-        assert_eq!(check.to_string().contains(said), is_said, "{check}");
+        let reported = "the values lie between 20 and 31.8 K, but the start value of the model is 550, as with degC instead of K";
+        assert_eq!(check.to_string().contains(reported), is_said, "{check}");
     }
 }

@@ -71,7 +71,7 @@ fn curves_match_measurements_when_results_depend_on_the_communication_step() {
 fn communication_step_is_reported_when_it_changes_the_results() {
     // A search that is long enough to allow two more simulations.
     let long = || RunOptions { method: NelderMead::default().into(), ..FitOptions::default_run() };
-    let said = |defines: &[&str], step: f64, noise: f64| {
+    let reported = |defines: &[&str], step: f64, noise: f64| {
         let folder = stepping(defines);
         let t: Vec<f64> = (0..=20).map(|k| 0.1 * f64::from(k)).collect();
         let y = t
@@ -91,8 +91,8 @@ fn communication_step_is_reported_when_it_changes_the_results() {
         let is_said = |text: String| text.contains("half the communication step changes 'y'");
         (findings.0.iter().any(|f| is_said(f.to_string())), findings.1.iter().any(|f| is_said(f.to_string())))
     };
-    assert_eq!(said(&["ONE_EULER_STEP"], 0.1, 0.0), (true, true));
-    assert_eq!(said(&["ONE_EULER_STEP"], 0.1, 0.2), (true, false));
-    assert_eq!(said(&[], 0.1, 0.0), (false, false));
-    assert_eq!(said(&["ONE_EULER_STEP"], 1e-4, 1e-3), (false, false));
+    assert_eq!(reported(&["ONE_EULER_STEP"], 0.1, 0.0), (true, true));
+    assert_eq!(reported(&["ONE_EULER_STEP"], 0.1, 0.2), (true, false));
+    assert_eq!(reported(&[], 0.1, 0.0), (false, false));
+    assert_eq!(reported(&["ONE_EULER_STEP"], 1e-4, 1e-3), (false, false));
 }

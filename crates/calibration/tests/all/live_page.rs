@@ -56,7 +56,7 @@ fn sent(host: &str, bytes: &[u8]) -> (String, String) {
     (answer.lines().next().unwrap_or_default().to_owned(), answer)
 }
 
-fn asked(host: &str, method: &str, path: &str, headers: &str) -> (String, String) {
+fn requested(host: &str, method: &str, path: &str, headers: &str) -> (String, String) {
     sent(host, format!("{method} {path} HTTP/1.1\r\n{headers}\r\n").as_bytes())
 }
 
@@ -67,7 +67,7 @@ fn page_is_served_only_to_clients_with_the_token() {
     assert!(host.starts_with("127.0.0.1:") && path.len() > 32, "{}", page.url());
     let port = host.rsplit_once(':').unwrap().1;
     let own = format!("Host: {host}\r\n");
-    let good = asked(&host, "GET", &path, &own);
+    let good = requested(&host, "GET", &path, &own);
     assert!(good.0 == "HTTP/1.1 200 OK" && good.1.contains("rate &lt;of&gt; decay"), "{}", good.1);
     assert!(good.1.contains("Content-Security-Policy: default-src 'none'"), "{}", good.1);
     // The page must not load anything from other hosts.
@@ -108,17 +108,17 @@ fn page_is_served_only_to_clients_with_the_token() {
         ("POST", &format!("{path}stop"), format!("{own}Content-Length: minus\r\n"), "400"),
         ("POST", &format!("{path}stop"), format!("{own}Transfer-Encoding: chunked\r\n"), "413"),
     ] {
-        let (line, text) = asked(&host, method, path, &headers);
+        let (line, text) = requested(&host, method, path, &headers);
         let shown = format!("{method} {path:.80} {headers:.80}: {line}");
         assert!(line.starts_with(&format!("HTTP/1.1 {status} ")), "{shown}");
         assert!(status == "200" || !text.contains("decay"), "{shown}");
     }
     assert!(sent(&host, b"\x16\x03\x01 no HTTP\r\n\r\n").0.contains(" 400 "));
-    let (line, text) = asked(&host, "HEAD", &path, &own);
+    let (line, text) = requested(&host, "HEAD", &path, &own);
     assert!(line.contains(" 200 ") && text.ends_with("\r\n\r\n"), "{text}");
     assert!(!page.is_stop_asked() && !page.is_closed());
     // Without a report, a request cannot close the page.
-    assert!(asked(&host, "POST", &format!("{path}close"), &own).0.contains(" 303 ") && !page.is_closed());
+    assert!(requested(&host, "POST", &format!("{path}close"), &own).0.contains(" 303 ") && !page.is_closed());
     drop(page);
     // The listening thread ends by itself.
     let is_refused = |_| {
@@ -134,7 +134,7 @@ fn stop_button_ends_the_fit_with_the_best_point() {
     let page = LivePage::start(&calibration).unwrap();
     let (host, path) = place(&page);
     let own = format!("Host: {host}\r\n");
-    let state = || asked(&host, "GET", &format!("{path}state"), &own).1;
+    let state = || requested(&host, "GET", &format!("{path}state"), &own).1;
     // These clients send nothing, send a part of a request, or do not read the answer.
     let hanging: Vec<TcpStream> = (0..12)
         .map(|k| {
@@ -160,7 +160,7 @@ fn stop_button_ends_the_fit_with_the_best_point() {
         // The page shows measured and simulated values with the residuals below, and the costs.
         assert!(seen.matches("role=\"img\"").count() == 2 && seen.contains("residual"), "{seen}");
         let (line, text) =
-            asked(&host, "POST", &format!("{path}stop"), &format!("{own}Content-Length: 0\r\n"));
+            requested(&host, "POST", &format!("{path}stop"), &format!("{own}Content-Length: 0\r\n"));
         assert!(line.contains(" 303 ") && text.contains("Location: ./\r\n"), "{text}");
         run.join().unwrap()
     });
@@ -173,10 +173,10 @@ fn stop_button_ends_the_fit_with_the_best_point() {
     let is_over = || true;
     page.show_report(&calibration, &fit, &RunContext::new().asking(&is_over)).unwrap();
     assert!(state().starts_with("HTTP/1.1 205 "));
-    let report = asked(&host, "GET", &path, &own).1;
+    let report = requested(&host, "GET", &path, &own).1;
     assert!(report.contains("The fit was interrupted") && report.contains("action=\"close\""), "{report}");
     assert!(report.contains("Measured and simulated") && report.contains("Figure: x"), "{report}");
-    let (line, text) = asked(&host, "POST", &format!("{path}close"), &own);
+    let (line, text) = requested(&host, "POST", &format!("{path}close"), &own);
     assert!(line.contains(" 200 ") && text.contains("The page is closed"), "{text}");
     while !page.is_closed() {
         std::thread::yield_now();
@@ -191,7 +191,7 @@ fn page_responds_when_other_clients_send_nothing() {
     let own = format!("Host: {host}\r\n");
     let hanging: Vec<TcpStream> = (0..32).map(|_| TcpStream::connect(&host).unwrap()).collect();
     // The owner is served after a short timeout of the silent clients, although all of them stay connected.
-    while !asked(&host, "GET", &path, &own).0.contains(" 200 ") {
+    while !requested(&host, "GET", &path, &own).0.contains(" 200 ") {
         std::thread::yield_now();
     }
     drop(hanging);
@@ -206,7 +206,8 @@ fn live_page_does_not_change_fit_result() {
         let mut options = FitOptions {
             observer: Some(Box::new(|_| {
                 if let Some((_, host, path)) = page {
-                    let (line, _) = asked(host, "GET", &format!("{path}state"), &format!("Host: {host}\r\n"));
+                    let (line, _) =
+                        requested(host, "GET", &format!("{path}state"), &format!("Host: {host}\r\n"));
                     n_seen += usize::from(line.contains(" 200 "));
                 }
                 ControlFlow::Continue(())
@@ -249,7 +250,7 @@ fn page_shows_failed_points_with_their_reasons() {
     let fit = calibration.fit(options).unwrap();
     let n = fit.report.n_failed;
     let (host, path) = place(&page);
-    let text = asked(&host, "GET", &format!("{path}state"), &format!("Host: {host}\r\n")).1;
+    let text = requested(&host, "GET", &format!("{path}state"), &format!("Host: {host}\r\n")).1;
     assert!(n > 0 && text.contains(&format!("Failed evaluations: {n}")), "{n}: {text}");
     let escaped = |reason: &str| reason.replace('\'', "&#x27;").replace('"', "&quot;").replace('/', "&#x2f;");
     for (reason, _) in fit.report.failures.iter().take(3) {
@@ -265,7 +266,7 @@ fn page_shows_the_error_of_a_failed_fit() {
     let host_line = format!("Host: {host}\r\n");
     // No client has connected, so there is no wait.
     page.show_error("no <reason>");
-    let (status, text) = asked(&host, "GET", &path, &host_line);
+    let (status, text) = requested(&host, "GET", &path, &host_line);
     assert!(status.contains("200") && text.contains("no &lt;reason&gt;"), "{text}");
-    assert!(asked(&host, "GET", &format!("{path}state"), &host_line).0.contains("205"));
+    assert!(requested(&host, "GET", &format!("{path}state"), &host_line).0.contains("205"));
 }

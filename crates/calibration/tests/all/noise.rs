@@ -82,7 +82,11 @@ fn prior_does_not_dominate_when_noise_is_small() {
                 assert!(off < 3.5 + pull, "{start} {noise}: {off} standard errors, {fit}");
                 assert!(fit.rms < fit.start_rms.unwrap() || start == 2.0, "{fit}");
                 assert!((fit.rms / noise).ln().abs() < 0.35, "{}", fit.rms);
-                assert!(warnings(&fit).iter().all(|said| !said.contains("prior")), "{:?}", warnings(&fit));
+                assert!(
+                    warnings(&fit).iter().all(|reported| !reported.contains("prior")),
+                    "{:?}",
+                    warnings(&fit)
+                );
                 assert!(fit.to_string().contains("estimated with the parameters"), "{fit}");
             }
         }
@@ -300,7 +304,7 @@ fn fit_reports_when_noise_is_not_estimated() {
         ..run(AnyMethod::auto(Search::Local)).into()
     };
     let fit = build(1.0).fit(with(robust, NoiseRule::Auto, CostKind::SumOfSquares)).unwrap();
-    assert!(warnings(&fit).iter().any(|said| said.contains("prior of k")), "{:?}", warnings(&fit));
+    assert!(warnings(&fit).iter().any(|reported| reported.contains("prior of k")), "{:?}", warnings(&fit));
     for (weight, loss, rule) in [
         (1e3, RobustLoss::default(), NoiseRule::Auto),
         (1e3, robust, NoiseRule::Auto),
@@ -308,12 +312,15 @@ fn fit_reports_when_noise_is_not_estimated() {
     ] {
         let fit = build(weight).fit(with(loss, rule, CostKind::SumOfSquares)).unwrap();
         assert_eq!(fit.noise, Some(FitNoise::Stated));
-        assert!(warnings(&fit).iter().all(|said| !said.contains("prior")), "{:?}", warnings(&fit));
+        assert!(warnings(&fit).iter().all(|reported| !reported.contains("prior")), "{:?}", warnings(&fit));
         assert!(fit.to_string().contains("stated by the weights"), "{fit}");
     }
     let likelihood = CostKind::Named(NamedCost::Likelihood);
     let fit = build(1.0).fit(with(RobustLoss::default(), NoiseRule::Auto, likelihood)).unwrap();
-    assert!(fit.noise.is_none() && warnings(&fit).iter().all(|said| !said.contains("prior")), "{fit}");
+    assert!(
+        fit.noise.is_none() && warnings(&fit).iter().all(|reported| !reported.contains("prior")),
+        "{fit}"
+    );
     let refused = build(1.0).fit(with(robust, NoiseRule::Estimated, CostKind::SumOfSquares));
     assert!(refused.unwrap_err().to_string().contains("noise 'estimated'"));
     let check = build(1.0).check();
@@ -325,8 +332,8 @@ fn fit_reports_when_noise_is_not_estimated() {
     let plain =
         || dahlquist(decay(1, 1e-3), 1.0).parameter(Parameter::new("k", 1.0).bounds(0.01, 50.0)).build();
     assert!(plain().unwrap().fit(run(LeastSquares::default())).unwrap().noise.is_none());
-    let asked = with(RobustLoss::default(), NoiseRule::Estimated, CostKind::SumOfSquares);
-    let fit = plain().unwrap().fit(asked).unwrap();
+    let requested = with(RobustLoss::default(), NoiseRule::Estimated, CostKind::SumOfSquares);
+    let fit = plain().unwrap().fit(requested).unwrap();
     assert!((estimated(&fit).outputs[0].sd / 1e-3).ln().abs() < 0.35, "{fit}");
 }
 
@@ -352,7 +359,10 @@ fn priors_determine_what_measurements_do_not() {
         .unwrap()
         .fit(run(LeastSquares::default()))
         .unwrap();
-    assert!(fit.x[0].is_finite() && warnings(&fit).iter().any(|said| said.contains("noise of x")), "{fit}");
+    assert!(
+        fit.x[0].is_finite() && warnings(&fit).iter().any(|reported| reported.contains("noise of x")),
+        "{fit}"
+    );
 }
 
 #[test]
@@ -542,8 +552,8 @@ fn prior_counts_by_its_square_with_every_loss() {
             let error = uncertainty.standard_errors[0];
             assert!((0.009..0.03).contains(&error), "{kind:?} {mean}: {error}");
             assert_eq!(uncertainty.autocorrelations, [0.0]);
-            let said = warnings(&fit).iter().any(|text| text.contains("prior of off"));
-            assert_eq!(said, mean < 0.4, "{kind:?} {mean}: {:?}", warnings(&fit));
+            let reported = warnings(&fit).iter().any(|text| text.contains("prior of off"));
+            assert_eq!(reported, mean < 0.4, "{kind:?} {mean}: {:?}", warnings(&fit));
         }
     }
 }

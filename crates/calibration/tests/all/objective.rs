@@ -119,14 +119,14 @@ fn incompatible_cost_options_are_rejected() {
         calibration().fit(FitOptions { objective, loss, ..run.into() }).unwrap_err().to_string()
     };
     let mae = || CostKind::Named(NamedCost::Mae);
-    let said = error(mae(), RobustLoss::default(), LeastSquares::default().into());
+    let reported = error(mae(), RobustLoss::default(), LeastSquares::default().into());
     assert!(
-        said.contains("least-squares requires a sum of squares, and the objective 'mae' is not one"),
-        "{said}"
+        reported.contains("least-squares requires a sum of squares, and the objective 'mae' is not one"),
+        "{reported}"
     );
     let huber = RobustLoss::new(Loss::Huber, 1.0).unwrap();
-    let said = error(mae(), huber, NelderMead::default().into());
-    assert!(said.contains("Remove it with the objective 'mae'"), "{said}");
+    let reported = error(mae(), huber, NelderMead::default().into());
+    assert!(reported.contains("Remove it with the objective 'mae'"), "{reported}");
     // A checkpoint of one objective cannot be used for another.
     let folder = tempfile::tempdir().unwrap();
     let with = |objective: CostKind| {
@@ -136,8 +136,8 @@ fn incompatible_cost_options_are_rejected() {
         calibration().fit(FitOptions { objective, ..run.into() })
     };
     with(mae()).unwrap();
-    let said = with(CostKind::Named(NamedCost::Rmse)).unwrap_err().to_string();
-    assert!(said.contains("problem"), "{said}");
+    let reported = with(CostKind::Named(NamedCost::Rmse)).unwrap_err().to_string();
+    assert!(reported.contains("problem"), "{reported}");
 }
 
 #[test]
@@ -158,10 +158,10 @@ fn outputs_are_weighted_by_the_scale_of_measurements() {
         // The whole recording determines the scale, even if only a part counts in the fit.
         let calibration = make(x.clone(), scale).unwrap();
         assert_eq!(calibration.residual_layout().outputs[0].weights[..], [1.0 / size; 2]);
-        let said = make(vec![0.0; 4], scale).unwrap_err().to_string();
+        let reported = make(vec![0.0; 4], scale).unwrap_err().to_string();
         assert!(
-            said.contains(&format!("have the {} 0, which cannot be used as a weight", scale.name())),
-            "{said}"
+            reported.contains(&format!("have the {} 0, which cannot be used as a weight", scale.name())),
+            "{reported}"
         );
     }
 }

@@ -208,7 +208,7 @@ fn residual_layout_describes_each_residual() {
 /// The message names the variable of the NaN state, as declared in the model description.
 #[test]
 fn nan_state_is_reported_with_its_time() {
-    let said = |value: &str| {
+    let reported = |value: &str| {
         let folder = crate::support::faulty(&[&format!("STATE_VALUE={value}")]);
         let data = Data::from_columns(vec![0.0, 0.5, 1.0], [("x".to_owned(), vec![1.0, 0.4, 0.2])]).unwrap();
         let calibration = Calibration::builder(Fmu::open(folder.path()).unwrap())
@@ -218,9 +218,9 @@ fn nan_state_is_reported_with_its_time() {
             .unwrap();
         calibration.cost(&[1.0], &RunContext::new()).unwrap_err().to_string()
     };
-    let from_start = said("NAN");
+    let from_start = reported("NAN");
     assert!(from_start.contains("the residual of 'x' is not finite at t = 0"), "{from_start}");
-    let later = said("m->time>0.6?NAN:m->x");
+    let later = reported("m->time>0.6?NAN:m->x");
     assert!(later.contains("at t = 1: x is NaN"), "{later}");
 }
 
@@ -238,8 +238,8 @@ fn experiment_from_record_equals_experiment_from_methods() {
     let rows: String =
         (0..5).map(|i| format!("{i},{},{},{},1\n", 2 * i, i * i, if i < 4 { 1 } else { 0 })).collect();
     std::fs::write(folder.path().join("run.csv"), format!("t,a,b,valid,u\n{rows}")).unwrap();
-    let asked = |json: &str| Experiment::from_record(&record(json), folder.path(), &RunContext::new());
-    let given = asked(
+    let requested = |json: &str| Experiment::from_record(&record(json), folder.path(), &RunContext::new());
+    let given = requested(
         r#"{"name": "cold", "data": "run.csv", "time": "t", "outputs": [["y", "b"], ["x", "a"]], "weights": {"x": 2},
             "inputs": {"u": "u", "v": 3, "w": {"column": "u", "hold": true}}, "start_values": {"n": 3, "on": true}, "windows": [[0, 1], [2, 4]], "warm_up": 0.5,
             "initial_states": {"p": "measured", "q": 1, "r": {"start": 1, "lower": 0, "upper": 2}},
@@ -266,7 +266,7 @@ fn experiment_from_record_equals_experiment_from_methods() {
         .delay("x", 0.1)
         .hold_inputs(true);
     assert_eq!(format!("{given:?}"), format!("{expected:?}"));
-    let message = |json: &str| asked(json).unwrap_err().to_string();
+    let message = |json: &str| requested(json).unwrap_err().to_string();
     for (json, expected) in [
         (r#"{"outputs": ["a"]}"#, "data is missing"),
         (

@@ -194,8 +194,8 @@ fn profile_reports_open_ends() {
     let [k, x] = &found.parameters[..] else { panic!("{found}") };
     assert_eq!((&k.upper, k.interval().1), (&ProfileEnd::AtBound(1.55), f64::INFINITY));
     assert!(k.interval().0 > 0.5 && x.interval().0.is_finite() && x.interval().1.is_finite());
-    let said = "k: open towards larger values: reaches its upper bound, 1.55";
-    assert!(found.to_string().contains(said), "{found}");
+    let reported = "k: open towards larger values: reaches its upper bound, 1.55";
+    assert!(found.to_string().contains(reported), "{found}");
     // A parameter at its bound has one side. In the profile of the other parameter, it may leave its bound.
     let calibration = decay([Parameter::new("k", 1.0).bounds(0.1, 1.2), Parameter::new("x", 1.0)]);
     let fit = fitted(&calibration, FitOptions::default());
@@ -287,8 +287,8 @@ fn profile_is_unchanged_by_workers_interrupts_and_files() {
     let refused = |options: ProfileOptions| {
         calibration.profile(&fit, &options, &RunContext::new()).map(|_| ()).unwrap_err().to_string()
     };
-    let said = refused(ProfileOptions { level: 0.9, ..with(1, Some(&file)) });
-    assert!(said.contains("another fit") && said.contains("profile.json"), "{said}");
+    let reported = refused(ProfileOptions { level: 0.9, ..with(1, Some(&file)) });
+    assert!(reported.contains("another fit") && reported.contains("profile.json"), "{reported}");
     std::fs::write(&file, "x").unwrap();
     assert!(refused(with(1, Some(&file))).contains("not a file of profiles"));
     assert!(refused(with(1, Some(&folder.path().join("none/p.json")))).contains("none"));
@@ -307,12 +307,12 @@ fn profile_rejects_unsupported_fits() {
         decay([Parameter::new("k", 1.0).bounds(0.1, 5.0), Parameter::new("x", 1.0).fixed(true)]);
     let fit = fitted(&calibration, FitOptions::default());
     let fixed = ProfileOptions { parameters: Some(vec![1]), ..ProfileOptions::default() };
-    let said = calibration.profile(&fit, &fixed, &RunContext::new()).unwrap_err().to_string();
-    assert!(said.contains("'x' has no profile because it was not fitted"), "{said}");
+    let reported = calibration.profile(&fit, &fixed, &RunContext::new()).unwrap_err().to_string();
+    assert!(reported.contains("'x' has no profile because it was not fitted"), "{reported}");
     assert_eq!(profile(&calibration, &fit, &ProfileOptions::default()).parameters.len(), 1);
     let mae = FitOptions { objective: CostKind::Named(NamedCost::Mae), ..FitOptions::default() };
     let fit = fitted(&calibration, mae);
-    let said =
+    let reported =
         calibration.profile(&fit, &ProfileOptions::default(), &RunContext::new()).unwrap_err().to_string();
-    assert!(said.contains("requires a sum of squares") && said.contains("mae"), "{said}");
+    assert!(reported.contains("requires a sum of squares") && reported.contains("mae"), "{reported}");
 }

@@ -123,12 +123,12 @@ fn stages_with_wrong_held_values_do_not_count_as_converged() {
     let printed = apart.to_string();
     assert!((apart.x[0] - 2.0).abs() > 0.1 && !apart.is_success(), "{apart}");
     assert_eq!(apart.report.termination, Termination::BeforeMinimum, "{apart}");
-    for said in [
+    for reported in [
         "Each stage converged, but all parameters together did not",
         "% of the cost, although each stage ended normally. The values depend on what the stages held fixed",
         "Add a last stage with all parameters, because smaller tolerances do not help",
     ] {
-        assert!(printed.contains(said), "{apart}");
+        assert!(printed.contains(reported), "{apart}");
     }
     let joint = fitted(&[Stage::new(["k"]), Stage::new(["k", "x"])]);
     assert!((joint.x[0] - 2.0).abs() < 1e-2 && joint.is_success(), "{joint}");

@@ -148,9 +148,9 @@ fn parameter_of_unreached_event_is_reported() {
         (&[0][..], &[0][..], &[1][..])
     );
     assert!(uncertainty.standard_errors[0].is_infinite() && uncertainty.standard_errors[1] < 0.01);
-    let said = "the data do not determine e: it changes no measured output. ";
+    let reported = "the data do not determine e: it changes no measured output. ";
     assert!(
-        uncertainty.verdict()[0].starts_with(said) && fit.findings()[0].severity == Severity::Warning,
+        uncertainty.verdict()[0].starts_with(reported) && fit.findings()[0].severity == Severity::Warning,
         "{fit}"
     );
     // The message describes the run only.
@@ -278,7 +278,7 @@ fn autocorrelated_residuals_are_reported_and_corrected() {
     assert_eq!(uncorrected.autocorrelations, [0.0]);
     assert!(uncertainty.to_string().contains("corrected for autocorrelated residuals"), "{uncertainty}");
     let verdict = uncertainty.verdict();
-    assert!(verdict.iter().any(|said| said.contains("autocorrelated (0.9")), "{verdict:?}");
+    assert!(verdict.iter().any(|reported| reported.contains("autocorrelated (0.9")), "{verdict:?}");
 }
 
 #[test]
@@ -392,8 +392,8 @@ fn preflight_reports_problems_of_the_start() {
     let by_g = time.iter().map(|t| (0.5 * t * t).powi(2)).sum::<f64>() / 40.0;
     near(found.parameters[1].sensitivity.unwrap(), 10.0 * by_g.sqrt() / (0.5 * 9.81 * 0.39 * 0.39), 1e-3);
     assert_eq!((found.expected_evaluations, found.n_simulations), (36, 4));
-    for said in ["changes no output", "fixed", "sensitivity", "36 evaluations"] {
-        assert!(found.to_string().contains(said), "{found}");
+    for reported in ["changes no output", "fixed", "sensitivity", "36 evaluations"] {
+        assert!(found.to_string().contains(reported), "{found}");
     }
     let fit = ball.fit(FitOptions { preflight: true, ..FitOptions::default() }).unwrap();
     assert_eq!(fit.preflight.unwrap().findings, found.findings);
@@ -438,8 +438,11 @@ fn parameter_known_only_from_prior_is_reported() {
         .build()
         .unwrap();
     let verdict = uncertainty(&ball, &[2.0, 0.7], Estimator::Sandwich).verdict();
-    let said: Vec<&String> = verdict.iter().filter(|said| said.contains("prior alone")).collect();
-    assert!(said.len() == 1 && said[0].starts_with("e is known from its prior alone."), "{verdict:?}");
+    let reported: Vec<&String> = verdict.iter().filter(|reported| reported.contains("prior alone")).collect();
+    assert!(
+        reported.len() == 1 && reported[0].starts_with("e is known from its prior alone."),
+        "{verdict:?}"
+    );
 }
 
 #[test]

@@ -41,11 +41,15 @@ fn columns_are_converted_to_the_units_of_the_model() {
     ] {
         let calibration = tank(names, per_metre, voltages).unwrap();
         // Only the conversion is reported, and only as a note, because brackets may have another meaning.
-        let said: Vec<String> = calibration.warnings().iter().map(ToString::to_string).collect();
-        assert!(calibration.warnings().iter().all(|w| w.severity() == Severity::Note), "{said:?}");
+        let reported: Vec<String> = calibration.warnings().iter().map(ToString::to_string).collect();
+        assert!(calibration.warnings().iter().all(|w| w.severity() == Severity::Note), "{reported:?}");
         let converted = "columns were converted from the units that they state: 'x1 [mm]' from mm to m, 'x2 (mm)' from mm to m, 'u [mV]' from mV to V";
-        assert_eq!(said.iter().any(|said| said.contains(converted)), names[0] == "x1 [mm]", "{said:?}");
-        assert_eq!(said.is_empty(), per_metre == 1.0, "{said:?}");
+        assert_eq!(
+            reported.iter().any(|reported| reported.contains(converted)),
+            names[0] == "x1 [mm]",
+            "{reported:?}"
+        );
+        assert_eq!(reported.is_empty(), per_metre == 1.0, "{reported:?}");
         let (check, fit) = (calibration.check(), calibration.fit(FitOptions::default()).unwrap());
         for printed in [check.to_string(), fit.to_string()] {
             assert_eq!(printed.contains(converted), names[0] == "x1 [mm]", "{printed}");

@@ -114,18 +114,18 @@ const DEATHS: [(&str, &str); 5] = [
 
 #[test]
 fn crashed_worker_fails_only_one_evaluation() {
-    for (fault, said) in DEATHS {
+    for (fault, reported) in DEATHS {
         let folder = faulty(&["FAULT_ABOVE=2.2", &format!("FAULT={fault}")]);
         let calibration = decay(open(&folder), settings(Isolation::Process));
         let found = fit(&calibration, 2, 60);
         assert!((found.x[0] - 1.7).abs() < 0.1, "{fault}: {:?}", found.x);
         let failed: Vec<_> = found.report.failures.iter().map(|(message, _)| message.as_str()).collect();
         assert!(
-            failed.iter().all(|message| message.contains(said)) && !failed.is_empty(),
+            failed.iter().all(|message| message.contains(reported)) && !failed.is_empty(),
             "{fault}: {failed:?}"
         );
         let error = calibration.cost(&[3.0], &RunContext::new()).unwrap_err().to_string();
-        assert!(error.contains(said) && error.contains("k = 3"), "{error}");
+        assert!(error.contains(reported) && error.contains("k = 3"), "{error}");
     }
 }
 
@@ -549,10 +549,10 @@ fn helper_kills_its_template() {
     assert!(Command::new("kill").args(["-9", template.trim()]).status().unwrap().success(), "{template}");
     let error = calibration.cost(&[3.0], &RunContext::new()).unwrap_err().to_string();
     assert!(error.contains("segmentation fault in fmi2GetDerivatives"), "{error}");
-    let said = SAID.lock().unwrap().join("\n");
+    let reported = SAID.lock().unwrap().join("\n");
     let expected =
         "the process ended with an unknown status, because its parent process had ended before: killed";
-    assert!(said.contains(expected) && said.contains("in fmi2GetDerivatives at t = "), "{said}");
+    assert!(reported.contains(expected) && reported.contains("in fmi2GetDerivatives at t = "), "{reported}");
     assert!((fit(&calibration, 2, 60).x[0] - 1.7).abs() < 0.1);
     std::fs::write(work.join("result"), "done").unwrap();
 }

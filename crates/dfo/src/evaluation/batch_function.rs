@@ -1,6 +1,6 @@
 //! Evaluation by a user function that computes whole batches on the calling thread.
 
-use super::evaluator::{CutoffUse, Evaluator, Polled, Wait, panicked};
+use super::evaluator::{CutoffUse, Evaluator, PollResult, Wait, panicked};
 use crate::outcome::answer::{Answer, Failure, Outcome};
 use crate::problem::objective::{CancelSignals, Query};
 use std::cell::{Cell, RefCell};
@@ -170,14 +170,14 @@ impl Evaluator for Batches<'_> {
         self.queries.push(query);
     }
 
-    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled {
+    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> PollResult {
         if let Some(id) = self.withdrawn.pop() {
             answer.clear();
-            return Polled::Answered(id);
+            return PollResult::Answered(id);
         }
         let len = self.queries.len();
         if self.next == len {
-            return Polled::Idle;
+            return PollResult::Idle;
         }
         if self.answers.len() < len {
             // Points submitted while the answers of the last call were returned.
@@ -198,7 +198,7 @@ impl Evaluator for Batches<'_> {
         }
         self.next += 1;
         std::mem::swap(answer, &mut self.answers[k]);
-        Polled::Answered(self.queries[k].id)
+        PollResult::Answered(self.queries[k].id)
     }
 
     fn cancel(&mut self, id: u64) {
@@ -217,7 +217,7 @@ impl Evaluator for Batches<'_> {
         self.workers
     }
 
-    fn room(&self, plan: usize) -> usize {
+    fn capacity(&self, plan: usize) -> usize {
         plan
     }
 

@@ -1,6 +1,6 @@
 //! Evaluation by the caller: points wait until they are requested and until the caller answers them.
 
-use super::evaluator::{Evaluator, Polled, Wait};
+use super::evaluator::{Evaluator, PollResult, Wait};
 use crate::outcome::answer::Answer;
 use crate::problem::objective::Query;
 use std::collections::{BTreeMap, VecDeque};
@@ -22,12 +22,12 @@ pub(crate) struct ByHand {
     due: VecDeque<Handed>,
     /// Points that are handed out, by id.
     out: BTreeMap<u64, Handed>,
-    told: VecDeque<(u64, Answer)>,
+    reported: VecDeque<(u64, Answer)>,
 }
 
 impl ByHand {
     pub(crate) fn new(workers: usize) -> Self {
-        Self { workers, due: VecDeque::new(), out: BTreeMap::new(), told: VecDeque::new() }
+        Self { workers, due: VecDeque::new(), out: BTreeMap::new(), reported: VecDeque::new() }
     }
 
     /// Hands out the next point and returns it.
@@ -46,10 +46,10 @@ impl ByHand {
     /// out again.
     pub(crate) fn answered(&mut self, handed: Handed, mut answer: Answer, is_final: bool) {
         if !is_final && handed.is_cancelled {
-            self.told.push_back((handed.query.id, Answer::default()));
+            self.reported.push_back((handed.query.id, Answer::default()));
         } else if is_final {
             answer.seconds = handed.since.elapsed().as_secs_f64();
-            self.told.push_back((handed.query.id, answer));
+            self.reported.push_back((handed.query.id, answer));
         } else {
             self.due.push_front(handed);
         }
@@ -66,21 +66,21 @@ impl Evaluator for ByHand {
         self.due.push_back(Handed { x: x.to_vec(), query, since: Instant::now(), is_cancelled: false });
     }
 
-    fn poll(&mut self, _: &Wait<'_>, answer: &mut Answer) -> Polled {
-        match self.told.pop_front() {
-            Some((id, told)) => {
-                *answer = told;
-                Polled::Answered(id)
+    fn poll(&mut self, _: &Wait<'_>, answer: &mut Answer) -> PollResult {
+        match self.reported.pop_front() {
+            Some((id, reported)) => {
+                *answer = reported;
+                PollResult::Answered(id)
             }
-            None if self.due.is_empty() && self.out.is_empty() => Polled::Idle,
-            None => Polled::Waiting,
+            None if self.due.is_empty() && self.out.is_empty() => PollResult::Idle,
+            None => PollResult::Waiting,
         }
     }
 
     fn cancel(&mut self, id: u64) {
         if let Some(place) = self.due.iter().position(|point| point.query.id == id) {
             self.due.remove(place);
-            self.told.push_back((id, Answer::default()));
+            self.reported.push_back((id, Answer::default()));
         } else if let Some(handed) = self.out.get_mut(&id) {
             handed.is_cancelled = true;
         }
@@ -91,7 +91,7 @@ impl Evaluator for ByHand {
     }
 
     /// Returns the whole plan, however many points the user can evaluate at once.
-    fn room(&self, plan: usize) -> usize {
+    fn capacity(&self, plan: usize) -> usize {
         plan
     }
 

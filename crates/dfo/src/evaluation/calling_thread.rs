@@ -1,6 +1,6 @@
 //! Evaluation on the calling thread, one point per poll.
 
-use super::evaluator::{CutoffUse, Evaluator, Polled, Wait, call, cutoff_use};
+use super::evaluator::{CutoffUse, Evaluator, PollResult, Wait, call, cutoff_use};
 use crate::outcome::answer::Answer;
 use crate::problem::objective::{Objective, Query};
 use std::collections::VecDeque;
@@ -32,14 +32,16 @@ impl Evaluator for CallingThread<'_> {
         self.waiting.push_back(Waiting { x: buffer, query, is_cancelled: false });
     }
 
-    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled {
-        let Some(Waiting { x, query, is_cancelled }) = self.waiting.pop_front() else { return Polled::Idle };
+    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> PollResult {
+        let Some(Waiting { x, query, is_cancelled }) = self.waiting.pop_front() else {
+            return PollResult::Idle;
+        };
         match is_cancelled {
             true => answer.clear(),
             false => call(self.objective, &x, &query.ended_by(wait.signals), answer),
         }
         self.spare.push(x);
-        Polled::Answered(query.id)
+        PollResult::Answered(query.id)
     }
 
     fn cancel(&mut self, id: u64) {

@@ -31,7 +31,7 @@ pub(crate) struct CountedBatch {
     sources: Vec<Source>,
     /// Answers to the points of a batch, and the part of them that is passed to the method.
     answers: Vec<Answer>,
-    told: Answers,
+    reported: Answers,
     /// Indices of the points of a batch, by hash.
     places: HashMap<u64, usize>,
     truncated: bool,
@@ -60,7 +60,7 @@ impl CountedBatch {
             work_places: Vec::new(),
             sources: Vec::new(),
             answers: Vec::new(),
-            told: Answers::default(),
+            reported: Answers::default(),
             places: HashMap::new(),
             truncated: false,
             target: None,
@@ -337,16 +337,16 @@ impl CountedBatch {
     }
 
     /// Moves out the answers to the last batch. Points that were not evaluated are [`Outcome::Skipped`].
-    pub(crate) fn told(&mut self, batch: &Batch) -> &mut Answers {
-        self.told.clear();
+    pub(crate) fn reported(&mut self, batch: &Batch) -> &mut Answers {
+        self.reported.clear();
         for answer in &mut self.answers {
             if batch.want() == Want::Residuals && answer.outcome.value().is_some() {
-                self.told.push_taken(answer.outcome.clone(), &mut answer.residuals);
+                self.reported.push_taken(answer.outcome.clone(), &mut answer.residuals);
             } else {
-                self.told.push(answer.outcome.clone(), &[]);
+                self.reported.push(answer.outcome.clone(), &[]);
             }
         }
-        &mut self.told
+        &mut self.reported
     }
 
     pub(crate) fn is_stale(&self) -> bool {

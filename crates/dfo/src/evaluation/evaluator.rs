@@ -53,7 +53,7 @@ pub trait Evaluator {
 
     /// Writes the next answer into `answer`; waits for one if necessary. Each submitted point is answered
     /// exactly once. A point cancelled before it started is answered with [`Outcome::Skipped`].
-    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled;
+    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> PollResult;
 
     /// Cancels a point whose answer is no longer needed. It need not start, and a running evaluation may
     /// stop.
@@ -63,7 +63,7 @@ pub trait Evaluator {
     fn width(&self) -> usize;
 
     /// Returns the number of points of a plan that may be evaluated at once.
-    fn room(&self, plan: usize) -> usize {
+    fn capacity(&self, plan: usize) -> usize {
         plan.min(self.width())
     }
 
@@ -98,7 +98,7 @@ impl<E: Evaluator + ?Sized> Evaluator for Box<E> {
     fn submit(&mut self, x: &[f64], query: Query<'static>) {
         (**self).submit(x, query);
     }
-    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled {
+    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> PollResult {
         (**self).poll(wait, answer)
     }
     fn cancel(&mut self, id: u64) {
@@ -107,8 +107,8 @@ impl<E: Evaluator + ?Sized> Evaluator for Box<E> {
     fn width(&self) -> usize {
         (**self).width()
     }
-    fn room(&self, plan: usize) -> usize {
-        (**self).room(plan)
+    fn capacity(&self, plan: usize) -> usize {
+        (**self).capacity(plan)
     }
     fn pays_ahead(&self) -> bool {
         (**self).pays_ahead()
@@ -157,7 +157,7 @@ impl Wait<'_> {
 
 /// Result of a poll.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Polled {
+pub enum PollResult {
     /// The answer belongs to the query with this id.
     Answered(u64),
     /// No answer is available yet.

@@ -17,7 +17,7 @@ pub(crate) use batch_function::{BatchFunction, Batches};
 pub(crate) use by_hand::ByHand;
 pub(crate) use calling_thread::CallingThread;
 pub(crate) use context_poller::{ContextPoller, StopCause};
-pub use evaluator::{CutoffUse, Evaluator, Polled, Wait};
+pub use evaluator::{CutoffUse, Evaluator, PollResult, Wait};
 pub(crate) use speculative_evaluations::Reached;
 pub(crate) use speculative_evaluations::SpeculativeEvaluations;
 pub(crate) use threads::{MOST_WORKERS, OnCallingThread, Shared, Threads, pool};

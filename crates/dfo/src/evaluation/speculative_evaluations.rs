@@ -36,7 +36,7 @@ struct SpeculativePoint {
 #[derive(Debug, Default)]
 pub(crate) struct SpeculativeEvaluations {
     under_way: Vec<SpeculativePoint>,
-    asked: Batch,
+    requested: Batch,
     spare: Vec<Vec<f64>>,
     /// Hashes of the points of `asked`, and later of the points in progress.
     hashes: Vec<u64>,
@@ -97,28 +97,28 @@ impl SpeculativeEvaluations {
         left: usize,
         evaluator: &mut dyn Evaluator,
     ) {
-        let room = match method.details().lookahead {
+        let capacity = match method.details().lookahead {
             Lookahead::None => 0,
-            Lookahead::Points(points) => evaluator.room(points),
+            Lookahead::Points(points) => evaluator.capacity(points),
             Lookahead::Workers => evaluator.width(),
             Lookahead::Measured if evaluator.pays_ahead() => evaluator.width(),
             Lookahead::Measured => 0,
         };
         let awaited = self.under_way.iter().filter(|guess| guess.place.is_some()).count();
-        let wanted = room.saturating_sub(open).min(left);
+        let wanted = capacity.saturating_sub(open).min(left);
         if wanted == 0 && self.under_way.len() == awaited {
             return;
         }
-        let Self { under_way, asked, spare, hashes, flows } = self;
-        asked.start(round.work.n(), round.work.index(), 0);
-        asked.set_want(round.work.want());
+        let Self { under_way, requested, spare, hashes, flows } = self;
+        requested.start(round.work.n(), round.work.index(), 0);
+        requested.set_want(round.work.want());
         if wanted > 0 {
             // Requests more points than fit, so that running points are not cancelled when other points
             // precede them.
-            method.speculate(2 * wanted, &UnderWay { round, answers }, asked);
+            method.speculate(2 * wanted, &UnderWay { round, answers }, requested);
         }
         hashes.clear();
-        hashes.extend(asked.points().map(hash));
+        hashes.extend(requested.points().map(hash));
         hashes.sort_unstable();
         for guess in under_way.iter_mut().filter(|guess| guess.place.is_none() && !guess.is_cancelled) {
             if hashes.binary_search(&guess.hash).is_err() {
@@ -134,10 +134,11 @@ impl SpeculativeEvaluations {
         hashes.sort_unstable();
         let is_begun = |x: &[f64]| hashes.binary_search(&hash(x)).is_ok();
         // The path will reach these points.
-        let is_useful = |k: &usize| is_begun(asked.point(*k)) || round.store.contains(asked.point(*k));
-        let useful = awaited + (0..asked.n_certain()).filter(is_useful).count();
+        let is_useful =
+            |k: &usize| is_begun(requested.point(*k)) || round.store.contains(requested.point(*k));
+        let useful = awaited + (0..requested.n_certain()).filter(is_useful).count();
         let mut allowed = most.saturating_sub(round.ledger.n_in_vain().saturating_sub(useful));
-        let mut free = room.saturating_sub(under_way_in_all);
+        let mut free = capacity.saturating_sub(under_way_in_all);
         // While little of the budget is left, the least probable points would use it up (benches/ahead.rs).
         allowed = if *flows {
             let n_ahead =
@@ -147,8 +148,8 @@ impl SpeculativeEvaluations {
         } else {
             allowed.div_ceil(2)
         };
-        for k in 0..asked.len() {
-            let (x, is_certain) = (asked.point(k), k < asked.n_certain());
+        for k in 0..requested.len() {
+            let (x, is_certain) = (requested.point(k), k < requested.n_certain());
             if free == 0 || !is_certain && allowed == 0 {
                 break;
             }
@@ -157,14 +158,14 @@ impl SpeculativeEvaluations {
             }
             free -= 1;
             allowed = allowed.saturating_sub(usize::from(!is_certain));
-            let (hash, mut query) = (hash(x), asked.query(k));
+            let (hash, mut query) = (hash(x), requested.query(k));
             query.id = FIRST_ID + round.ledger.n_guessed;
             round.ledger.n_guessed += 1;
             let mut point = spare.pop().unwrap_or_default();
             point.clear();
             point.extend_from_slice(x);
             evaluator.submit(x, query);
-            let batch = asked.index();
+            let batch = requested.index();
             under_way.push(SpeculativePoint {
                 x: point,
                 query,

@@ -1,6 +1,6 @@
 //! Evaluation of the points of a run in a separate thread pool with one queue.
 
-use super::evaluator::{CutoffUse, Evaluator, Polled, Wait, call, cutoff_use};
+use super::evaluator::{CutoffUse, Evaluator, PollResult, Wait, call, cutoff_use};
 use super::timing::Timing;
 use crate::outcome::answer::Answer;
 use crate::problem::objective::{CancelSignals, Objective, Query};
@@ -204,7 +204,7 @@ impl<'s, 'e> Threads<'s, 'e> {
     }
 
     /// Evaluates a point on the calling thread.
-    fn evaluate(&mut self, mut job: Job, wait: &Wait<'_>, answer: &mut Answer) -> Polled {
+    fn evaluate(&mut self, mut job: Job, wait: &Wait<'_>, answer: &mut Answer) -> PollResult {
         if job.over.load(Ordering::Relaxed) {
             job.answer.clear();
         } else {
@@ -214,11 +214,11 @@ impl<'s, 'e> Threads<'s, 'e> {
         self.finish(job, answer)
     }
 
-    fn finish(&mut self, mut job: Job, answer: &mut Answer) -> Polled {
+    fn finish(&mut self, mut job: Job, answer: &mut Answer) -> PollResult {
         std::mem::swap(answer, &mut job.answer);
         let id = job.query.id;
         self.spare.push(job);
-        Polled::Answered(id)
+        PollResult::Answered(id)
     }
 
     /// True if the calling thread evaluates the next waiting point.
@@ -248,13 +248,13 @@ impl Evaluator for Threads<'_, '_> {
         self.waiting.push_back(job);
     }
 
-    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled {
+    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> PollResult {
         if self.away.is_empty() {
             if self.waiting.is_empty() {
-                return Polled::Idle;
+                return PollResult::Idle;
             }
             if self.stays() {
-                let Some(first) = self.waiting.pop_front() else { return Polled::Idle };
+                let Some(first) = self.waiting.pop_front() else { return PollResult::Idle };
                 let is_trial = self.timing.is_long().is_none() && !self.waiting.is_empty();
                 if is_trial {
                     self.shared.queue().is_joined = true;
@@ -281,8 +281,8 @@ impl Evaluator for Threads<'_, '_> {
                 }
                 self.finish(job, answer)
             }
-            Err(RecvTimeoutError::Timeout) => Polled::Waiting,
-            Err(RecvTimeoutError::Disconnected) => Polled::Idle,
+            Err(RecvTimeoutError::Timeout) => PollResult::Waiting,
+            Err(RecvTimeoutError::Disconnected) => PollResult::Idle,
         }
     }
 

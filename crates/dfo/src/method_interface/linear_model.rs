@@ -148,21 +148,21 @@ impl Covariance {
     pub fn message(&self, name: impl Fn(usize) -> String) -> String {
         let names =
             |indices: &[usize]| indices.iter().map(|index| name(*index)).collect::<Vec<_>>().join(", ");
-        let mut said = Vec::new();
+        let mut reported = Vec::new();
         if self.variance.is_nan() && self.held.len() * self.held.len() < self.matrix.len() {
-            said.push(
+            reported.push(
                 "there are not more residuals than parameters, so the variance cannot be estimated"
                     .to_owned(),
             );
         }
         if !self.undetermined.is_empty() {
             let what = "do not determine these parameters (other values fit equally well)";
-            said.push(format!("the residuals {what}: {}", names(&self.undetermined)));
+            reported.push(format!("the residuals {what}: {}", names(&self.undetermined)));
         }
         if !self.held.is_empty() {
-            said.push(format!("at a bound or fixed, assumed to be known: {}", names(&self.held)));
+            reported.push(format!("at a bound or fixed, assumed to be known: {}", names(&self.held)));
         }
-        said.join("; ")
+        reported.join("; ")
     }
 }
 
@@ -213,7 +213,7 @@ mod tests {
         Covariance::new(residuals, jacobian, active, &RunContext::new()).unwrap()
     }
 
-    fn said(covariance: &Covariance) -> String {
+    fn reported(covariance: &Covariance) -> String {
         covariance.message(|index| format!("x[{index}]"))
     }
 
@@ -227,11 +227,11 @@ mod tests {
         for (got, expected) in covariance.matrix.iter().zip([0.7, -0.3, -0.3, 0.2]) {
             assert!((got - s2 * expected).abs() < 1e-15, "{covariance:?}");
         }
-        assert_eq!((covariance.degrees_of_freedom, said(&covariance)), (2, String::new()));
+        assert_eq!((covariance.degrees_of_freedom, reported(&covariance)), (2, String::new()));
         // With b at a bound, this is the variance of a mean.
         let covariance = computed(&residuals, &jacobian, &[0, 1]);
         assert!((covariance.matrix[0] - 0.05 / 4.0).abs() < 1e-15 && covariance.matrix[1..] == [0.0; 3]);
-        assert_eq!(said(&covariance), "at a bound or fixed, assumed to be known: x[1]");
+        assert_eq!(reported(&covariance), "at a bound or fixed, assumed to be known: x[1]");
     }
 
     #[test]
@@ -250,7 +250,11 @@ mod tests {
         assert!(of(0, 0) == f64::INFINITY && of(1, 1) == f64::INFINITY && of(0, 1).is_nan());
         assert!(of(2, 2).is_finite() && of(0, 2).is_finite());
         assert_eq!(covariance.undetermined, [0, 1]);
-        assert!(said(&covariance).ends_with("fit equally well): x[0], x[1]"), "{}", said(&covariance));
+        assert!(
+            reported(&covariance).ends_with("fit equally well): x[0], x[1]"),
+            "{}",
+            reported(&covariance)
+        );
         let none = computed(&[1.0, 2.0], &[1.0, 0.0, 0.0, 1.0], &[0, 0]);
         assert!(none.matrix[0] == f64::INFINITY && none.matrix[1].is_nan() && none.variance.is_nan());
         let zero = computed(&[1.0, 2.0], &[1.0, 0.0, 1.0, 0.0], &[0, 0]);

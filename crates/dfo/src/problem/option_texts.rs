@@ -61,10 +61,10 @@ mod tests {
             .batch(Lookahead::Points(20))
             .coefficients(coefficients)
             .initial_steps(&[0.1, 2.0]);
-        let told = options.describe();
-        let told: Vec<String> = told.iter().map(|(name, value)| format!("{name}: {value}")).collect();
+        let reported = options.describe();
+        let reported: Vec<String> = reported.iter().map(|(name, value)| format!("{name}: {value}")).collect();
         assert_eq!(
-            told,
+            reported,
             [
                 "batch: 20",
                 "bounds_handling: sine",
@@ -73,8 +73,8 @@ mod tests {
                 "restarts: 20",
             ]
         );
-        let told = Genetic::default().selection(Selection::Tournament(3)).describe();
-        let of = |name: &str| told.iter().find(|(n, _)| n == name).map(|(_, v)| v.as_str());
+        let reported = Genetic::default().selection(Selection::Tournament(3)).describe();
+        let of = |name: &str| reported.iter().find(|(n, _)| n == name).map(|(_, v)| v.as_str());
         assert_eq!(
             (of("selection"), of("gray"), of("mutation_rate")),
             (Some("tournament 3"), Some("yes"), Some("none"))

@@ -6,7 +6,7 @@ use crate::evaluation::counted_batch::{CountedBatch, reset};
 use crate::evaluation::ledger::Ledger;
 use crate::evaluation::store::{EarlyOutcome, FIRST_ID};
 use crate::evaluation::{
-    ContextPoller, CutoffUse, Evaluator, Polled, Reached, SpeculativeEvaluations, StopCause,
+    ContextPoller, CutoffUse, Evaluator, PollResult, Reached, SpeculativeEvaluations, StopCause,
 };
 use crate::method_interface::interface::{Batch, Method, MethodDetails, Status};
 use crate::method_interface::tolerances::Limits;
@@ -163,8 +163,8 @@ impl Drive {
                 wait.until = Instant::now();
             }
             match around.evaluator.poll(&wait, &mut answer) {
-                Polled::Answered(_) if answer.outcome.is_lost() => self.round.ledger.n_lost += 1,
-                Polled::Answered(id) => {
+                PollResult::Answered(_) if answer.outcome.is_lost() => self.round.ledger.n_lost += 1,
+                PollResult::Answered(id) => {
                     let answer = std::mem::take(&mut answer);
                     let cutoff_use = around.evaluator.cutoff_use();
                     if id >= FIRST_ID {
@@ -173,9 +173,9 @@ impl Drive {
                         self.round.keep_unneeded(k, &answer);
                     }
                 }
-                Polled::Waiting if is_left => return,
-                Polled::Waiting => _ = around.control.check(),
-                Polled::Idle => return,
+                PollResult::Waiting if is_left => return,
+                PollResult::Waiting => _ = around.control.check(),
+                PollResult::Idle => return,
             }
         }
     }
@@ -335,22 +335,22 @@ impl Drive {
         }
         let polled = evaluator.poll(&wait, &mut answer);
         match polled {
-            Polled::Answered(id) => {
+            PollResult::Answered(id) => {
                 if !self.is_evaluated_again(id, &mut answer, &mut **evaluator) {
                     self.answered(id, &mut answer, &mut **evaluator);
                     self.n_unsaved += 1;
                 }
             }
-            Polled::Waiting if is_left => {
+            PollResult::Waiting if is_left => {
                 self.n_left = self.n_missing;
                 self.n_missing = 0;
             }
-            Polled::Waiting => {}
+            PollResult::Waiting => {}
             // Submitted points without an answer were not evaluated.
-            Polled::Idle => self.n_missing = 0,
+            PollResult::Idle => self.n_missing = 0,
         }
         self.answer = answer;
-        if polled == Polled::Waiting && self.by_hand {
+        if polled == PollResult::Waiting && self.by_hand {
             return true;
         }
         if self.cause.is_none() && !self.by_hand {
@@ -359,7 +359,7 @@ impl Drive {
                 self.cancel(&mut **evaluator);
             }
         }
-        if matches!(polled, Polled::Answered(_)) && !around.evaluator.is_ready() {
+        if matches!(polled, PollResult::Answered(_)) && !around.evaluator.is_ready() {
             self.look_ahead(around);
         }
         if self.n_unsaved > 0 && self.n_missing > 0 && self.writer.as_ref().is_some_and(Writer::is_due) {
@@ -466,7 +466,7 @@ impl Drive {
         // After an interrupt, residuals are no longer used, and processing many of them is slow.
         let is_left = stopped == Some(Termination::Interrupted) && self.batch.want() == Want::Residuals;
         if !is_left {
-            self.method.tell_last(self.round.told(&self.batch))?;
+            self.method.tell_last(self.round.reported(&self.batch))?;
         }
         self.observe_and_end(stopped, around)
     }

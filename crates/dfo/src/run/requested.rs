@@ -139,18 +139,18 @@ impl RequestedRun {
     /// Returns an error if an option does not exist or its value is not allowed.
     pub fn new(options: RunOptions<AnyMethod>, record: &Record, n: usize) -> Result<Self, Error> {
         let (of_run, mut of_method) = read_part::<RunRecord>(record.clone(), "run option")?;
-        let mut asked = Self { options, ..Self::default() };
-        asked.options.workers = workers(&of_run.workers)?.or(asked.options.workers);
+        let mut requested = Self { options, ..Self::default() };
+        requested.options.workers = workers(&of_run.workers)?.or(requested.options.workers);
         if let Some(Value::Text(plan)) = of_method.get("batch")
             && plan.eq_ignore_ascii_case("workers")
         {
-            let n = asked.options.workers.unwrap_or_else(base::available_cores);
+            let n = requested.options.workers.unwrap_or_else(base::available_cores);
             of_method.insert("batch".to_owned(), Value::Count(n as u64));
         }
-        let method = asked.method(&of_run, &of_method);
-        asked.set(of_run, n)?;
-        asked.options.method = method?;
-        Ok(asked)
+        let method = requested.method(&of_run, &of_method);
+        requested.set(of_run, n)?;
+        requested.options.method = method?;
+        Ok(requested)
     }
 
     /// Returns the record that requests a run with these options. Unset options are left out. The record
@@ -216,74 +216,74 @@ impl RequestedRun {
     }
 
     /// Sets the given options that do not belong to the method.
-    fn set(&mut self, asked: RunRecord, n: usize) -> Result<(), Error> {
-        let checkpoint = checkpoint(&asked)?;
+    fn set(&mut self, requested: RunRecord, n: usize) -> Result<(), Error> {
+        let checkpoint = checkpoint(&requested)?;
         let run = &mut self.options;
         let (tolerances, limits) = (&mut run.tolerances, &mut run.limits);
-        set(&mut tolerances.x_tol, asked.x_tol);
-        set(&mut tolerances.f_tol, asked.f_tol);
-        set(&mut tolerances.stop, asked.stop);
-        set(&mut tolerances.measure, asked.tolerances);
-        set(&mut run.unlimited, asked.unlimited);
-        set(&mut run.known, asked.warm_start);
-        limit(&mut limits.max_evaluations, "max_evaluations", &asked.max_evaluations, 1)?;
-        limit(&mut limits.max_evaluations, "max_fevals", &asked.max_fevals, 1)?;
-        limit(&mut limits.max_iterations, "max_iterations", &asked.max_iterations, 0)?;
-        limit(&mut limits.max_iterations, "max_iters", &asked.max_iters, 0)?;
-        limit(&mut run.cache, "cache", &asked.cache, 0)?;
-        limit(&mut run.trace_limit, "trace_limit", &asked.trace_limit, 1)?;
-        if asked.max_time != Value::Nothing {
-            limits.max_time = asked.max_time.read_time("max_time")?;
+        set(&mut tolerances.x_tol, requested.x_tol);
+        set(&mut tolerances.f_tol, requested.f_tol);
+        set(&mut tolerances.stop, requested.stop);
+        set(&mut tolerances.measure, requested.tolerances);
+        set(&mut run.unlimited, requested.unlimited);
+        set(&mut run.known, requested.warm_start);
+        limit(&mut limits.max_evaluations, "max_evaluations", &requested.max_evaluations, 1)?;
+        limit(&mut limits.max_evaluations, "max_fevals", &requested.max_fevals, 1)?;
+        limit(&mut limits.max_iterations, "max_iterations", &requested.max_iterations, 0)?;
+        limit(&mut limits.max_iterations, "max_iters", &requested.max_iters, 0)?;
+        limit(&mut run.cache, "cache", &requested.cache, 0)?;
+        limit(&mut run.trace_limit, "trace_limit", &requested.trace_limit, 1)?;
+        if requested.max_time != Value::Nothing {
+            limits.max_time = requested.max_time.read_time("max_time")?;
         }
-        limits.target = asked.target.or(limits.target);
-        limits.max_failed = asked.max_failed.or(limits.max_failed);
-        if asked.seed.is_some() && asked.rng.is_some() {
+        limits.target = requested.target.or(limits.target);
+        limits.max_failed = requested.max_failed.or(limits.max_failed);
+        if requested.seed.is_some() && requested.rng.is_some() {
             return Err(
                 RecordError::message("rng and seed are the same option; specify only one of them").into()
             );
         }
-        run.seed = asked.seed.or(asked.rng).or(run.seed);
-        run.problem = asked.problem.or(run.problem.take());
+        run.seed = requested.seed.or(requested.rng).or(run.seed);
+        run.problem = requested.problem.or(run.problem.take());
         run.checkpoint = checkpoint.or(run.checkpoint.take());
-        self.scale = per_parameter("scale", &asked.scale, n)?;
-        self.nominal = per_parameter("nominal", &asked.nominal, n)?;
-        self.kinds = per_parameter("kinds", &asked.kinds, n)?;
+        self.scale = per_parameter("scale", &requested.scale, n)?;
+        self.nominal = per_parameter("nominal", &requested.nominal, n)?;
+        self.kinds = per_parameter("kinds", &requested.kinds, n)?;
         Ok(())
     }
 }
 
 /// Sets an option if a value is given.
-fn set<T>(option: &mut T, said: Option<T>) {
-    if let Some(said) = said {
-        *option = said;
+fn set<T>(option: &mut T, reported: Option<T>) {
+    if let Some(reported) = reported {
+        *option = reported;
     }
 }
 
 /// Sets a limit if a value is given.
-fn limit(limit: &mut Option<usize>, name: &str, said: &Value, least: u64) -> Result<(), RecordError> {
-    if *said != Value::Nothing {
-        *limit = said.read_limit(name, least)?;
+fn limit(limit: &mut Option<usize>, name: &str, reported: &Value, least: u64) -> Result<(), RecordError> {
+    if *reported != Value::Nothing {
+        *limit = reported.read_limit(name, least)?;
     }
     Ok(())
 }
 
 /// Reads the number of evaluations that may run at once, if it is given.
-fn workers(said: &Value) -> Result<Option<usize>, RecordError> {
-    match said {
+fn workers(reported: &Value) -> Result<Option<usize>, RecordError> {
+    match reported {
         Value::Negative(-1) => Ok(Some(base::available_cores())),
         Value::Negative(_) | Value::Count(0) => {
-            Err(RecordError::range("at least 1, or -1 for all cores").of("workers", said))
+            Err(RecordError::range("at least 1, or -1 for all cores").of("workers", reported))
         }
-        said => said.read("workers"),
+        reported => reported.read("workers"),
     }
 }
 
 /// Reads the options of the checkpoint: its file and when it is read and written.
-fn checkpoint(asked: &RunRecord) -> Result<Option<Checkpoint>, Error> {
-    let interval = &asked.checkpoint_interval;
+fn checkpoint(requested: &RunRecord) -> Result<Option<Checkpoint>, Error> {
+    let interval = &requested.checkpoint_interval;
     let seconds = interval.read::<Option<f64>>("checkpoint_interval")?;
-    let Some(path) = &asked.checkpoint else {
-        if asked.resume == Some(Resume::Require) {
+    let Some(path) = &requested.checkpoint else {
+        if requested.resume == Some(Resume::Require) {
             let message = "resume='require' requires a checkpoint; specify its file with checkpoint=...";
             return Err(RecordError::message(message).into());
         }
@@ -293,13 +293,13 @@ fn checkpoint(asked: &RunRecord) -> Result<Option<Checkpoint>, Error> {
         };
     };
     let mut checkpoint = Checkpoint::new(path);
-    set(&mut checkpoint.resume, asked.resume);
+    set(&mut checkpoint.resume, requested.resume);
     if let Some(seconds) = seconds {
         checkpoint.interval = Duration::try_from_secs_f64(seconds).map_err(|_| {
             RecordError::range("a number of seconds, at least 0").of("checkpoint_interval", interval)
         })?;
     }
-    checkpoint.function.clone_from(&asked.function);
+    checkpoint.function.clone_from(&requested.function);
     Ok(Some(checkpoint))
 }
 

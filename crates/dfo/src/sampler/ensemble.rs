@@ -139,9 +139,9 @@ impl EnsembleSampler {
     /// # Errors
     /// Returns an error if the number of answers is not the number of points.
     pub fn tell(&mut self, log_densities: &[f64]) -> Result<(), Error> {
-        let asked = self.proposals.len();
-        if log_densities.len() != asked {
-            return Err(Error::TooManyOutcomes { asked, told: log_densities.len() });
+        let requested = self.proposals.len();
+        if log_densities.len() != requested {
+            return Err(Error::TooManyOutcomes { requested, reported: log_densities.len() });
         }
         for ((walker, point), log_density) in
             std::mem::take(&mut self.proposals).into_iter().zip(log_densities)

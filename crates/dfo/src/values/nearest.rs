@@ -2,8 +2,8 @@
 
 /// Returns the most similar name, if at most two fifths of its letters differ.
 pub(crate) fn nearest<'n>(written: &str, names: impl IntoIterator<Item = &'n str>) -> Option<&'n str> {
-    let asked = folded(written);
-    let all = names.into_iter().map(|name| (edits(&asked, &folded(name)), name));
+    let requested = folded(written);
+    let all = names.into_iter().map(|name| (edits(&requested, &folded(name)), name));
     let (edits, name) = all.min()?;
     (5 * edits <= 2 * name.len().max(written.len())).then_some(name)
 }

@@ -421,8 +421,8 @@ impl<'de> Deserializer<'de> for &'de Value {
     ) -> Result<V::Value, RecordError> {
         match self {
             Value::Text(text) => {
-                let asked = text.to_ascii_lowercase().replace('_', "-");
-                let word = variants.iter().find(|word| word.eq_ignore_ascii_case(&asked));
+                let requested = text.to_ascii_lowercase().replace('_', "-");
+                let word = variants.iter().find(|word| word.eq_ignore_ascii_case(&requested));
                 visitor.visit_enum(word.copied().unwrap_or(text).into_deserializer())
             }
             Value::Record(fields) if fields.len() == 1 => {

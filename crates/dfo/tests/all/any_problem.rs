@@ -275,12 +275,12 @@ fn examine(case: u64, folder: &Path) {
         // Unsupported problems are rejected before any evaluation.
         Err(_) => return,
     }
-    let told = |r: &Result<Report, Error>| match r {
+    let reported = |r: &Result<Report, Error>| match r {
         Ok(r) => Ok((timeless(&r.trace), bits(&r.x), r.fun.to_bits(), r.termination.clone(), r.n_iterations)),
         Err(e) => Err(e.to_string()),
     };
     let same = |a: &Result<Report, Error>, b: &Result<Report, Error>, what: &str| {
-        assert_eq!(told(a), told(b), "case {case}, {what}: {method:?} on {problem:?}");
+        assert_eq!(reported(a), reported(b), "case {case}, {what}: {method:?} on {problem:?}");
     };
     same(&plain, &problem.run(&method, (3, false, problem.budget), None), "workers");
     // With cutoffs, the decisions are identical.

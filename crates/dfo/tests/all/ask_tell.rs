@@ -87,9 +87,9 @@ fn method_accepts_partial_answers() {
                         }
                     })
                     .collect();
-                let told = batch.len() - (counter >> 10) as usize % batch.len().max(1);
-                s.tell(&Answers::from(&outcomes[..told])).unwrap();
-                for value in outcomes[..told].iter().filter_map(Outcome::value) {
+                let reported = batch.len() - (counter >> 10) as usize % batch.len().max(1);
+                s.tell(&Answers::from(&outcomes[..reported])).unwrap();
+                for value in outcomes[..reported].iter().filter_map(Outcome::value) {
                     best_used = best_used.min(value);
                 }
                 assert_eq!(s.best().map_or(f64::INFINITY, |b| b.1), best_used, "{}", problem.name);
@@ -137,7 +137,7 @@ fn misuse_returns_typed_error() {
     s.ask(&mut batch);
     assert_eq!(
         s.tell(&Answers::from(&vec![Outcome::Value(1.0); 4][..])),
-        Err(Error::TooManyOutcomes { asked: 3, told: 4 })
+        Err(Error::TooManyOutcomes { requested: 3, reported: 4 })
     );
     s.tell(&Answers::from(&[Outcome::Value(f64::NAN), Outcome::failed("x"), Outcome::Above(0.0)][..]))
         .unwrap();

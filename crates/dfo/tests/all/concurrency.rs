@@ -291,8 +291,8 @@ fn abort_starts_no_evaluation_and_keeps_earlier_ones() {
 #[test]
 fn workers_have_large_stacks() {
     fn deep(level: u32) -> f64 {
-        let room = std::hint::black_box([f64::from(level); 1024]);
-        if level == 0 { 0.0 } else { room[7] * 0.0 + deep(level - 1) }
+        let capacity = std::hint::black_box([f64::from(level); 1024]);
+        if level == 0 { 0.0 } else { capacity[7] * 0.0 + deep(level - 1) }
     }
     // 1000 levels of 8 KiB need more than the usual 2 MiB of a thread.
     let cost = |x: &[f64]| {

@@ -207,7 +207,7 @@ fn ask_tell_run_resumes_from_its_checkpoint() {
     for (k, method) in methods().into_iter().enumerate() {
         let whole = boxed(minimize(probe), &method).max_evaluations(150).trace_limit(100).run().unwrap();
         let path = folder.path().join(k.to_string());
-        let mut told = 0;
+        let mut reported = 0;
         // Abandoned after an increasing number of answers, in the middle of rounds. The file contains the
         // last explicit save.
         for leave in 1.. {
@@ -223,7 +223,7 @@ fn ask_tell_run_resumes_from_its_checkpoint() {
                         break 'run;
                     }
                     o.tell(point.id, Outcome::Value(probe(&point.x))).unwrap();
-                    (left, told) = (left - 1, told + 1);
+                    (left, reported) = (left - 1, reported + 1);
                 }
             }
             o.save().unwrap();
@@ -232,7 +232,7 @@ fn ask_tell_run_resumes_from_its_checkpoint() {
                 assert_eq!(timeless(&report.trace), timeless(&whole.trace), "{method:?}");
                 assert_eq!((&report.x, report.fun, &report.message), (&whole.x, whole.fun, &whole.message));
                 assert_eq!(report.trace.len(), whole.trace.len());
-                assert!(report.n_speculative > 0 || report.n_evaluations == told);
+                assert!(report.n_speculative > 0 || report.n_evaluations == reported);
                 break;
             }
         }
@@ -313,9 +313,9 @@ fn warm_start_begins_with_known_points() {
     let first = first.problem("probe").max_evaluations(200).run().unwrap();
     assert_eq!(first.trace.problem(), Some("probe"));
     for method in methods() {
-        let asked = std::sync::Mutex::new(Vec::new());
+        let requested = std::sync::Mutex::new(Vec::new());
         let cost = |x: &[f64]| {
-            asked.lock().unwrap().push(x.to_vec());
+            requested.lock().unwrap().push(x.to_vec());
             probe(x)
         };
         let warm = boxed(minimize(cost), &method)
@@ -325,13 +325,13 @@ fn warm_start_begins_with_known_points() {
             .run();
         let warm = warm.unwrap();
         assert!(warm.fun <= first.fun && warm.n_cached > 0, "{method:?}");
-        let asked = asked.into_inner().unwrap();
+        let requested = requested.into_inner().unwrap();
         assert!(
             first
                 .trace
                 .iter()
                 .filter(|e| e.outcome.value().is_some())
-                .all(|e| !asked.iter().any(|x| x == e.x))
+                .all(|e| !requested.iter().any(|x| x == e.x))
         );
         // Even if no better point can be evaluated, the best point of the earlier run is the result.
         let flat = boxed(minimize(|_: &[f64]| 1e9), &method)

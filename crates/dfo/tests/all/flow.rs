@@ -10,7 +10,7 @@ use clocked::{Clocked, Seen, hash, one_in, rosenbrock};
 use common::timeless;
 use dfo::{
     Answer, AnyMethod, BatchView, Checkpoint, CmaEs, CutoffUse, DifferentialEvolution, Evaluator, Lookahead,
-    Minimize, Multistart, NelderMead, Outcome, PatternSearch, Polish, Polled, Query, Report, Restarts,
+    Minimize, Multistart, NelderMead, Outcome, PatternSearch, Polish, PollResult, Query, Report, Restarts,
     Resume, Termination, Wait, Want, by_hand, minimize, minimize_batches, minimize_by,
 };
 use std::cell::Cell;
@@ -61,9 +61,9 @@ impl<E: Evaluator> Evaluator for Lossy<E> {
     fn submit(&mut self, x: &[f64], query: Query<'static>) {
         self.inner.submit(x, query);
     }
-    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled {
+    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> PollResult {
         let polled = self.inner.poll(wait, answer);
-        if matches!(polled, Polled::Answered(_)) && answer.outcome != Outcome::Skipped {
+        if matches!(polled, PollResult::Answered(_)) && answer.outcome != Outcome::Skipped {
             self.n += 1;
             if self.n.is_multiple_of(self.every) {
                 self.n_lost.set(self.n_lost.get() + 1);
@@ -313,9 +313,9 @@ impl<L: Fn(&[f64]) -> f64> Evaluator for Dying<'_, L> {
     fn submit(&mut self, x: &[f64], query: Query<'static>) {
         self.inner.submit(x, query);
     }
-    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled {
+    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> PollResult {
         let polled = self.inner.poll(wait, answer);
-        if let (Polled::Answered(_), Outcome::Value(_)) = (polled, &answer.outcome) {
+        if let (PollResult::Answered(_), Outcome::Value(_)) = (polled, &answer.outcome) {
             (self.dies)(&[0.0, 0.0]);
         }
         polled

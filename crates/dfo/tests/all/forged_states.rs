@@ -154,7 +154,7 @@ fn check(name: &str, residuals: Residuals) {
     for rounds in [0, 3, 12, 40] {
         let all = forged(&options, residuals, rounds);
         n += all.len();
-        let (tell, told) = channel();
+        let (tell, reported) = channel();
         let (options, states) = (options.clone(), all.clone());
         std::thread::spawn(move || {
             for (_, state) in states {
@@ -169,7 +169,7 @@ fn check(name: &str, residuals: Residuals) {
             }
         });
         for (what, _) in &all {
-            match told.recv_timeout(HANGS) {
+            match reported.recv_timeout(HANGS) {
                 Ok(true) => {}
                 Ok(false) => failures.push(format!("after {rounds} rounds {what} panics")),
                 Err(RecvTimeoutError::Timeout) => {

@@ -48,7 +48,7 @@ fn least_squares_survives_failing_regions() {
 
 type Told = (Vec<(Vec<u64>, Outcome, u64, u64, u64, bool)>, Vec<f64>, u64, Termination, String);
 
-fn told(report: &Report) -> Told {
+fn reported(report: &Report) -> Told {
     let Report { trace, x, fun, termination, message, .. } = report;
     (timeless(trace), x.clone(), fun.to_bits(), termination.clone(), message.clone())
 }
@@ -125,7 +125,11 @@ fn result_is_identical_with_workers_ask_tell_and_resume() {
         let run = || boxed(minimize(residuals(noisy)), batch).max_evaluations(150);
         let plain = run().run().unwrap();
         for workers in [2, 5] {
-            assert_eq!(told(&run().workers(workers).run().unwrap()), told(&plain), "{batch} {workers}");
+            assert_eq!(
+                reported(&run().workers(workers).run().unwrap()),
+                reported(&plain),
+                "{batch} {workers}"
+            );
         }
         let mut optimizer = boxed(by_hand(), batch).max_evaluations(150).optimizer().unwrap();
         let objective = residuals(noisy);
@@ -144,7 +148,11 @@ fn result_is_identical_with_workers_ask_tell_and_resume() {
             let place = folder.path().join(format!("{batch} {budget}"));
             let at = || Checkpoint::new(&place).interval(Duration::ZERO);
             drop(run().max_evaluations(budget).checkpoint(at()).run());
-            assert_eq!(told(&run().checkpoint(at()).run().unwrap()), told(&plain), "{batch} {budget}");
+            assert_eq!(
+                reported(&run().checkpoint(at()).run().unwrap()),
+                reported(&plain),
+                "{batch} {budget}"
+            );
         }
     }
 }
@@ -296,9 +304,9 @@ fn rounds_plan_is_chosen_by_name() {
         |method: AnyMethod| minimize(residuals(chained)).start(&[-1.2, 1.0]).method(method).run().unwrap();
     let rounds = run(by_name("rounds").unwrap());
     assert_eq!(rounds.batch, "rounds");
-    assert_eq!(told(&rounds), told(&run(LeastSquares::default().rounds().into())));
-    assert_eq!(told(&rounds), told(&run(LeastSquares::default().batch(6).into())));
-    assert_eq!(told(&run(by_name("serial").unwrap())), told(&run(LeastSquares::default().into())));
+    assert_eq!(reported(&rounds), reported(&run(LeastSquares::default().rounds().into())));
+    assert_eq!(reported(&rounds), reported(&run(LeastSquares::default().batch(6).into())));
+    assert_eq!(reported(&run(by_name("serial").unwrap())), reported(&run(LeastSquares::default().into())));
     let refused = by_name("four").unwrap_err();
     assert!(format!("{refused:?}").contains("an integer, 'auto', 'serial' or 'rounds'"), "{refused:?}");
 }
@@ -429,7 +437,7 @@ fn interrupt_between_rounds_ends_the_run() {
     let stopped = stopped.run().unwrap();
     assert_eq!((&stopped.termination, stopped.n_evaluations), (&Termination::Interrupted, 7));
     assert!(stopped.jacobian.is_none());
-    assert_eq!(told(&run("stopped").run().unwrap()), told(&whole));
+    assert_eq!(reported(&run("stopped").run().unwrap()), reported(&whole));
 }
 
 /// Chained Rosenbrock functions as residuals.
@@ -603,7 +611,7 @@ fn automatic_plan_depends_on_stated_workers_and_can_be_given_back() {
             Err(_) => LeastSquares::default().serial(),
         };
         for other in [1, 2, 8] {
-            assert_eq!(told(&report), told(&run(other, given.clone())), "{workers} {other}");
+            assert_eq!(reported(&report), reported(&run(other, given.clone())), "{workers} {other}");
         }
         // The checkpoint contains the plan: a run continues on it with any number of workers.
         let at = || Checkpoint::new(folder.path().join(workers.to_string())).interval(Duration::ZERO);
@@ -613,7 +621,7 @@ fn automatic_plan_depends_on_stated_workers_and_can_be_given_back() {
         };
         start(workers).max_evaluations(10).run().unwrap();
         let resumed = start(9 - workers.min(8)).run().unwrap();
-        assert_eq!((told(&resumed), &*resumed.batch), (told(&report), plan), "{workers}");
+        assert_eq!((reported(&resumed), &*resumed.batch), (reported(&report), plan), "{workers}");
     }
 }
 

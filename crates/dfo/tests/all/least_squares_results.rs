@@ -132,9 +132,9 @@ fn batch_ask_tell_and_resumed_runs_agree() {
         }
     }
     // The optimizer knows only the residuals passed to `tell`, without the loss applied to them.
-    let told = optimizer.report().unwrap();
-    assert!(is_near(&told.x, &report.x, 1e-4), "{told}");
-    assert!((told.sum_of_squares().unwrap() / report.fun - 1.0).abs() < 1e-6);
+    let reported = optimizer.report().unwrap();
+    assert!(is_near(&reported.x, &report.x, 1e-4), "{reported}");
+    assert!((reported.sum_of_squares().unwrap() / report.fun - 1.0).abs() < 1e-6);
     let folder = std::env::temp_dir().join(format!("dfo-least-squares-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let run = |loss: Loss| {

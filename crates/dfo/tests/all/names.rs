@@ -5,8 +5,8 @@ use dfo::AnyMethod;
 
 #[test]
 fn methods_accept_full_names_and_scipy_names() {
-    let name = |asked: &str| asked.parse::<AnyMethod>().map(|method| method.name());
-    for (asked, expected) in [
+    let name = |requested: &str| requested.parse::<AnyMethod>().map(|method| method.name());
+    for (requested, expected) in [
         ("differential_evolution", "de"),
         ("differential-evolution", "de"),
         ("DE", "de"),
@@ -20,9 +20,9 @@ fn methods_accept_full_names_and_scipy_names() {
         ("cma", "cma-es"),
         ("Auto", "auto"),
     ] {
-        assert_eq!(name(asked).unwrap(), expected);
+        assert_eq!(name(requested).unwrap(), expected);
     }
-    for (asked, hint) in [
+    for (requested, hint) in [
         ("COBYQA", "did you mean 'quadratic-model'?"),
         ("L-BFGS-B", "did you mean 'quadratic-model'?"),
         ("simplex", "did you mean 'nelder-mead'?"),
@@ -31,6 +31,10 @@ fn methods_accept_full_names_and_scipy_names() {
         ("dual_annealing", "did you mean 'multistart'?"),
         ("", "unknown method ''; expected one of: nelder-mead (1), barrier (2), de,"),
     ] {
-        assert!(name(asked).unwrap_err().to_string().contains(hint), "{asked}: {}", name(asked).unwrap_err());
+        assert!(
+            name(requested).unwrap_err().to_string().contains(hint),
+            "{requested}: {}",
+            name(requested).unwrap_err()
+        );
     }
 }

@@ -15,7 +15,7 @@ fn record(json: serde_json::Value) -> Record {
     }
 }
 
-fn asked(json: serde_json::Value) -> Result<RequestedRun, Error> {
+fn requested(json: serde_json::Value) -> Result<RequestedRun, Error> {
     RequestedRun::new(RunOptions::default(), &record(json), 2)
 }
 
@@ -26,7 +26,7 @@ fn chosen(json: serde_json::Value) -> Result<(AnyMethod, String), Error> {
 
 fn chosen_for(mut json: serde_json::Value, residuals: bool) -> Result<(AnyMethod, String), Error> {
     json["method"] = "auto".into();
-    let method = asked(json)?.options.method;
+    let method = requested(json)?.options.method;
     let class =
         ProblemClass { lower: &[0.0; 2], upper: &[1.0; 2], kinds: &[], residuals, search: Search::Local };
     Ok(method.chosen(&class)?.unwrap_or((method, "the choice was not open".to_owned())))
@@ -34,7 +34,7 @@ fn chosen_for(mut json: serde_json::Value, residuals: bool) -> Result<(AnyMethod
 
 #[test]
 fn record_sets_options_by_name() {
-    let run = asked(serde_json::json!({
+    let run = requested(serde_json::json!({
         "method": "NELDER_MEAD", "x_tol": 1e-3, "tolerances": "Absolute", "stop": "any", "max_fevals": 40.0, "max_time": 2,
         "cache": null, "batch": "Ahead", "coefficients": [1, 2, 0.5, 0.4], "scale": "log", "kinds": ["integer", "continuous"],
         "nominal": [null, 3], "checkpoint": "a.ckpt", "checkpoint_interval": 5
@@ -57,15 +57,15 @@ fn record_sets_options_by_name() {
 
 #[test]
 fn options_of_variants_are_set_by_name() {
-    let run =
-        asked(serde_json::json!({ "method": "de-classic", "weight": [0.5, 1], "population": 30 })).unwrap();
+    let run = requested(serde_json::json!({ "method": "de-classic", "weight": [0.5, 1], "population": 30 }))
+        .unwrap();
     let AnyMethod::DifferentialEvolution(options) = run.options.method else { panic!("another method") };
     assert_eq!(options.population, Some(30));
     assert!(matches!(
         options.scheme,
         dfo::Scheme::Classic { weight: DifferentialWeight::Dither(0.5, 1.0), .. }
     ));
-    let run = asked(serde_json::json!({ "method": "ga", "selection": 3, "stall": null })).unwrap();
+    let run = requested(serde_json::json!({ "method": "ga", "selection": 3, "stall": null })).unwrap();
     let AnyMethod::Genetic(options) = run.options.method else { panic!("another method") };
     assert_eq!((options.selection, options.stall), (Selection::Tournament(3), None));
 }
@@ -82,7 +82,7 @@ fn record_of_a_run_requests_the_same_run() {
         serde_json::json!({ "method": "de", "checkpoint": "a.ckpt", "checkpoint_interval": 5, "resume": "never", "cache": 8 }),
         serde_json::json!({ "warm_start": [{ "x": [1.5, 2.5], "cost": 0.5, "residuals": [], "problem": "p" }], "trace_limit": 4 }),
     ] {
-        let options = asked(json.clone()).unwrap().options;
+        let options = requested(json.clone()).unwrap().options;
         let record = RequestedRun::record(&options).unwrap();
         let again = RequestedRun::new(RunOptions::default(), &record, 2).unwrap().options;
         assert_eq!(again, options, "{json}: {record:?}");
@@ -99,13 +99,13 @@ fn record_of_a_run_requests_the_same_run() {
 /// Python's names of options have the same meaning in a record.
 #[test]
 fn record_accepts_python_option_names() {
-    let run = asked(serde_json::json!({ "rng": 7, "workers": 3, "batch": "workers" })).unwrap().options;
+    let run = requested(serde_json::json!({ "rng": 7, "workers": 3, "batch": "workers" })).unwrap().options;
     assert_eq!((run.seed, run.workers), (Some(7), Some(3)));
     assert_eq!(run.method, NelderMead::default().batch(Lookahead::Points(3)).into());
     let cores = std::thread::available_parallelism().unwrap().get();
-    assert_eq!(asked(serde_json::json!({ "workers": -1 })).unwrap().options.workers, Some(cores));
+    assert_eq!(requested(serde_json::json!({ "workers": -1 })).unwrap().options.workers, Some(cores));
     for workers in [0, -2] {
-        let error = asked(serde_json::json!({ "workers": workers })).unwrap_err().to_string();
+        let error = requested(serde_json::json!({ "workers": workers })).unwrap_err().to_string();
         assert_eq!(error, format!("workers = {workers} must be at least 1, or -1 for all cores"));
     }
 }
@@ -180,16 +180,16 @@ fn errors_name_option_and_value() {
             false,
         ),
     ] {
-        let error = asked(json).unwrap_err();
+        let error = requested(json).unwrap_err();
         let Error::Record(refused) = &error else { panic!("{error}") };
         assert_eq!((error.to_string().as_str(), refused.is_type()), (message, is_type));
     }
-    let error = asked(serde_json::json!({ "method": "nm", "batsch": 2 })).unwrap_err().to_string();
+    let error = requested(serde_json::json!({ "method": "nm", "batsch": 2 })).unwrap_err().to_string();
     assert!(
         error
             .starts_with("nelder-mead has no option 'batsch'; did you mean 'batch'? its options are batch, "),
         "{error}"
     );
-    let error = asked(serde_json::json!({ "method": "de", "search": "global" })).unwrap_err().to_string();
+    let error = requested(serde_json::json!({ "method": "de", "search": "global" })).unwrap_err().to_string();
     assert!(error.contains("selects the method automatically"), "{error}");
 }

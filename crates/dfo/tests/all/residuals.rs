@@ -264,13 +264,13 @@ fn changed_number_of_residuals_is_an_error_for_any_workers() {
     assert!((2..6).all(|workers| run(workers) == error));
     // This also ends a run with ask/tell.
     let mut optimizer = by_hand().start(&[1.0]).method(LeastSquares::default()).optimizer().unwrap();
-    let told = loop {
+    let reported = loop {
         let points = optimizer.ask(1);
         let answer = residuals(changing).answer(&points[0].x, &points[0].query());
         if let Err(error) = optimizer.tell(points[0].id, answer) {
             break error;
         }
     };
-    assert_eq!(told, error);
+    assert_eq!(reported, error);
     assert!(matches!(optimizer.termination(), Some(Termination::Aborted(_))) && optimizer.ask(1).is_empty());
 }

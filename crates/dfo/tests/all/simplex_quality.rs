@@ -228,9 +228,9 @@ fn parameter_with_later_effect_is_found() {
 fn report_names_parameter_without_effect() {
     let report = minimize(|x: &[f64]| (x[0] - 3.0).powi(2)).start(&[1.0, 0.0]).run().unwrap();
     assert!(report.is_success() && report.message.contains("no step of x[1] from zero"), "{report}");
-    let told =
+    let reported =
         minimize(|x: &[f64]| (x[0] - 3.0).powi(2)).start(&[1.0, 0.0]).scales(&[1.0, 1.0]).run().unwrap();
-    assert!(!told.message.contains("no step"), "{told}");
+    assert!(!reported.message.contains("no step"), "{reported}");
     let partly = minimize(|x: &[f64]| (x[0] - 3.0).powi(2) + x[1].powi(2))
         .start(&[1.0, 0.0])
         .known_scales(&[None, Some(1.0)])

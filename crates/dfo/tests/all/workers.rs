@@ -38,7 +38,7 @@ fn cost(how: u64) -> impl Fn(&[f64], &Query<'_>) -> Outcome + Sync {
 
 type Told = Result<(Vec<u64>, u64, usize, usize, usize, Termination, Vec<Vec<u64>>), String>;
 
-fn told(run: Result<Report, Error>) -> Told {
+fn reported(run: Result<Report, Error>) -> Told {
     let bits = |x: &[f64]| x.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
     match run {
         Ok(r) => {
@@ -82,17 +82,17 @@ fn result_is_independent_of_number_of_workers() {
                 AnyMethod::PatternSearch(_) => PatternSearch::default().batch(Lookahead::None).into(),
                 other => other.clone(),
             };
-            let serial = told(described(minimize(dfo::ByRef(&objective)), &pinned, dice).run());
+            let serial = reported(described(minimize(dfo::ByRef(&objective)), &pinned, dice).run());
             for workers in [1, 2, 3, 7, 16] {
                 let run = described(minimize(dfo::ByRef(&objective)), method, dice).workers(workers);
-                assert_eq!(told(run.run()), serial, "{method:?}, {workers} workers, {how} {dice}");
+                assert_eq!(reported(run.run()), serial, "{method:?}, {workers} workers, {how} {dice}");
             }
             let in_batches = |batch: &BatchView<'_>| {
                 let one = |k| objective.answer(batch.point(k), &batch.query(k)).outcome;
                 (0..batch.len()).map(one).collect()
             };
             let run = described(minimize_batches(in_batches), method, dice).workers(7);
-            assert_eq!(told(run.run()), serial, "{method:?} in batches, {how} {dice}");
+            assert_eq!(reported(run.run()), serial, "{method:?} in batches, {how} {dice}");
         }
     }
 }

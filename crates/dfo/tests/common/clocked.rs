@@ -1,6 +1,6 @@
 //! Workers on a simulated clock: evaluations take arbitrary simulated times but no real time.
 
-use dfo::{Answer, CutoffUse, Evaluator, Outcome, Polled, Query, Wait};
+use dfo::{Answer, CutoffUse, Evaluator, Outcome, PollResult, Query, Wait};
 use std::cell::Cell;
 use std::collections::VecDeque;
 use std::rc::Rc;
@@ -67,19 +67,19 @@ impl<L: Fn(&[f64]) -> f64> Evaluator for Clocked<L> {
         self.waiting.push_back((query, x.to_vec()));
     }
 
-    fn poll(&mut self, _: &Wait<'_>, answer: &mut Answer) -> Polled {
+    fn poll(&mut self, _: &Wait<'_>, answer: &mut Answer) -> PollResult {
         answer.clear();
         if let Some(id) = self.cancelled.pop() {
-            return Polled::Answered(id);
+            return PollResult::Answered(id);
         }
         self.begin();
         let first = (0..self.running.len()).min_by(|a, b| self.running[*a].0.total_cmp(&self.running[*b].0));
-        let Some(first) = first else { return Polled::Idle };
+        let Some(first) = first else { return PollResult::Idle };
         let (end, began, query, x) = self.running.swap_remove(first);
         self.seen.now.set(end);
         self.seen.busy.set(self.seen.busy.get() + end - began);
         *answer = (self.answer)(&x, &query);
-        Polled::Answered(query.id)
+        PollResult::Answered(query.id)
     }
 
     /// A simulation stops at its next step.

@@ -440,9 +440,9 @@ impl FmiError {
     }
 
     /// Converts the error for another process: its kind and the data to be sent.
-    pub fn told(&self) -> ReportedError {
+    pub fn reported(&self) -> ReportedError {
         let (kind, time) = match self {
-            FmiError::ReportedError(told) => return (**told).clone(),
+            FmiError::ReportedError(reported) => return (**reported).clone(),
             FmiError::Memory { .. } => (ReportedErrorKind::Memory, None),
             FmiError::Io { source, .. } if source.kind() == io::ErrorKind::NotFound => {
                 (ReportedErrorKind::NoFile, None)

@@ -68,10 +68,10 @@ impl SimulateOptions {
             experiment.start_time.filter(|_| self.start_time.is_none()).map(|t| ("start", t, "start_time")),
             experiment.stop_time.filter(|_| self.final_time.is_none()).map(|t| ("end", t, "final_time")),
         ];
-        let said = |(what, time, option): (&str, f64, &str)| {
+        let reported = |(what, time, option): (&str, f64, &str)| {
             format!("; {} is the {what} time of the model, which {option} overrides", Number(time))
         };
-        of_model.into_iter().flatten().map(said).collect()
+        of_model.into_iter().flatten().map(reported).collect()
     }
 }
 

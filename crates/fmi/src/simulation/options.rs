@@ -204,7 +204,7 @@ impl SimulateOptions {
     }}
 
     setters! { "RunSettings", run. {
-        input_derivatives(bool) = |told| Some(told);
+        input_derivatives(bool) = |reported| Some(reported);
         relative_tolerance(f64) = |tolerance| Some(tolerance);
         kind(InterfaceChoice) = |kind| kind;
         method(Method) = |method| method;

@@ -85,9 +85,9 @@ impl Fmu {
         kind: InterfaceKind,
         settings: &[Setting],
     ) -> Result<RawInstance, FmiError> {
-        let LogOptions { asked, categories, filter, .. } = self.logging();
+        let LogOptions { requested, categories, filter, .. } = self.logging();
         let options = InstanceOptions {
-            logging: *asked,
+            logging: *requested,
             log_categories: categories.clone(),
             log_filter: *filter,
             ..InstanceOptions::default()

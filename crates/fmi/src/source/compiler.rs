@@ -90,8 +90,8 @@ impl Compiler {
         let Some((program, arguments)) = split(command) else { return Ok(None) };
         let mut question = Command::new(&program);
         question.args(&arguments).arg("--version").env("LC_ALL", "C").stdin(Stdio::null());
-        let answer = tempfile::tempfile().and_then(|said| Ok((said.try_clone()?, said)));
-        let (out, mut said) = answer.map_err(FmiError::io("run", &program))?;
+        let answer = tempfile::tempfile().and_then(|reported| Ok((reported.try_clone()?, reported)));
+        let (out, mut reported) = answer.map_err(FmiError::io("run", &program))?;
         question.stdout(out).stderr(Stdio::null());
         platform::in_own_group(&mut question);
         limit_compiler(&mut question, patience.limit.min(ANSWER_TIME));
@@ -103,7 +103,7 @@ impl Compiler {
             _ => return Ok(None),
         }
         let mut text = Vec::new();
-        let read = said.rewind().and_then(|()| said.take(SEARCHED_BYTES).read_to_end(&mut text));
+        let read = reported.rewind().and_then(|()| reported.take(SEARCHED_BYTES).read_to_end(&mut text));
         read.map_err(FmiError::io("read the output of", &program))?;
         let version = String::from_utf8_lossy(&text).lines().next().unwrap_or_default().to_owned();
         Ok(Some(Compiler { program, arguments, version }))
@@ -127,9 +127,10 @@ impl Compiler {
         command.env("LC_ALL", "C").stdin(Stdio::null());
         let run = FmiError::io("run", &self.program);
         // The output goes to a file, because a pipe that is not read would block the compiler.
-        let said = tempfile::tempfile().and_then(|said| Ok((said.try_clone()?, said.try_clone()?, said)));
-        let (out, err, mut said) = match said {
-            Ok(said) => said,
+        let reported = tempfile::tempfile()
+            .and_then(|reported| Ok((reported.try_clone()?, reported.try_clone()?, reported)));
+        let (out, err, mut reported) = match reported {
+            Ok(reported) => reported,
             Err(error) => return Err(run(error)),
         };
         command.stdout(out).stderr(err);
@@ -151,20 +152,20 @@ impl Compiler {
             model_identifier: model_identifier.to_owned(),
             command: words.join(" "),
             status,
-            output: messages(&mut said).map_err(FmiError::io("read the compiler output for", folder))?,
+            output: messages(&mut reported).map_err(FmiError::io("read the compiler output for", folder))?,
         })
     }
 }
 
 /// Returns the first error in the messages of a compiler, and the last lines.
-fn messages(said: &mut File) -> io::Result<String> {
+fn messages(reported: &mut File) -> io::Result<String> {
     let mut start = Vec::new();
-    said.rewind()?;
-    said.take(SEARCHED_BYTES).read_to_end(&mut start)?;
-    let length = said.seek(SeekFrom::End(0))?;
-    said.seek(SeekFrom::Start(length.saturating_sub(4 * LAST_BYTES as u64)))?;
+    reported.rewind()?;
+    reported.take(SEARCHED_BYTES).read_to_end(&mut start)?;
+    let length = reported.seek(SeekFrom::End(0))?;
+    reported.seek(SeekFrom::Start(length.saturating_sub(4 * LAST_BYTES as u64)))?;
     let mut end = Vec::new();
-    said.read_to_end(&mut end)?;
+    reported.read_to_end(&mut end)?;
     Ok(shortened(&String::from_utf8_lossy(&start), &String::from_utf8_lossy(&end)))
 }
 

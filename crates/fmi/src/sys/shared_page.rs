@@ -36,7 +36,7 @@ pub(super) struct Shared {
 #[repr(C, align(128))]
 struct Turns {
     /// Number of the last request that was sent.
-    asked: AtomicU32,
+    requested: AtomicU32,
     /// Number of the last request whose answer was sent.
     answered: AtomicU32,
     /// Nonzero if the worker may spin for a short time while it waits for the next request.
@@ -109,7 +109,7 @@ impl Page {
     /// Records that a request was sent. A reader that sees the number before the request arrives must still
     /// wait for the request.
     pub(crate) fn note_question(&self, number: u32) {
-        self.shared().turns.asked.store(number, Ordering::Release);
+        self.shared().turns.requested.store(number, Ordering::Release);
     }
 
     /// Records that an answer was sent.
@@ -128,7 +128,7 @@ impl Page {
     pub(crate) fn wait_for_question(&self, after: u32, longest: Duration) {
         let turns = &self.shared().turns;
         if turns.may_spin.load(Ordering::Relaxed) != 0 {
-            spin_until(longest, || turns.asked.load(Ordering::Acquire) != after);
+            spin_until(longest, || turns.requested.load(Ordering::Acquire) != after);
         }
     }
 

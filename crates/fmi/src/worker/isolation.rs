@@ -49,7 +49,7 @@ impl FromStr for Isolation {
 #[derive(Clone, Copy)]
 pub struct Question<'a> {
     /// Message to the worker.
-    pub asked: &'a Frame,
+    pub requested: &'a Frame,
     /// Ends the wait for the answer. It is checked every 10 ms. After it ends, the worker has 0.1 s to
     /// answer.
     pub context: &'a RunContext<'a>,

@@ -32,14 +32,14 @@ impl Notes {
 
     /// Sends the lines to the logger of this program. Warnings that another worker has already logged
     /// (`said`) are not repeated.
-    pub(crate) fn pass_on(&self, said: &Mutex<HashSet<String>>) {
+    pub(crate) fn pass_on(&self, reported: &Mutex<HashSet<String>>) {
         for Line { level, target, text } in &self.lines {
-            let mut said = said.lock().unwrap_or_else(PoisonError::into_inner);
-            let is_new = *level > Level::Warn || !said.contains(text);
-            if *level <= Level::Warn && said.len() < MOST_LINES {
-                said.insert(text.clone());
+            let mut reported = reported.lock().unwrap_or_else(PoisonError::into_inner);
+            let is_new = *level > Level::Warn || !reported.contains(text);
+            if *level <= Level::Warn && reported.len() < MOST_LINES {
+                reported.insert(text.clone());
             }
-            drop(said);
+            drop(reported);
             if is_new {
                 log::log!(target: target, *level, "{text}");
             }

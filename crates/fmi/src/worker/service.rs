@@ -11,8 +11,12 @@ pub trait Service {
     ///
     /// # Errors
     /// Returns any error that must be sent to the caller.
-    fn answer(&mut self, asked: &Frame, context: &RunContext<'_>, answer: &mut Frame)
-    -> Result<(), FmiError>;
+    fn answer(
+        &mut self,
+        requested: &Frame,
+        context: &RunContext<'_>,
+        answer: &mut Frame,
+    ) -> Result<(), FmiError>;
 
     /// Unpacks the files of the model, and compiles its sources. This writes outside the folder of the
     /// worker. Runs no code of the model.

@@ -48,9 +48,9 @@ pub fn serve_if_worker(service: impl FnOnce() -> Box<dyn Service + Send>) {
 fn serve(mut service: Box<dyn Service + Send>) -> io::Result<()> {
     let level = std::env::var(LEVEL).ok().and_then(|level| level.parse().ok());
     keep_lines(level.unwrap_or(log::LevelFilter::Warn));
-    let mut load = |asked: &Frame| {
+    let mut load = |requested: &Frame| {
         let mut answer = Frame::default();
-        respond(&mut *service, asked, &RunContext::new(), &mut answer)?;
+        respond(&mut *service, requested, &RunContext::new(), &mut answer)?;
         // After a failure, a worker tries again, and reports the error.
         Ok(!answer.is_error)
     };
@@ -114,29 +114,29 @@ fn answer_requests(mut service: Box<dyn Service + Send>, worker: &Assigned<Chann
     }
 
     let own = std::process::id();
-    let (mut asked, mut answer, mut buffer) = (Frame::default(), Frame::default(), Vec::new());
+    let (mut requested, mut answer, mut buffer) = (Frame::default(), Frame::default(), Vec::new());
     let (mut questions, mut answers) = (BufReader::with_capacity(BUFFER, channel), channel);
     let number = Rc::new(Cell::new(0));
     set_caller(exchange(channel.try_clone()?, page, Rc::clone(&number)));
     Frame::of(&Hello { has_loaded: *has_loaded })?.write(0, &mut answers, &mut buffer)?;
     loop {
-        page.wait_for_question(asked.number, SPIN);
-        match asked.read(&mut questions, &mut buffer, FrameSize::ANY, &mut || Ok(())) {
+        page.wait_for_question(requested.number, SPIN);
+        match requested.read(&mut questions, &mut buffer, FrameSize::ANY, &mut || Ok(())) {
             Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(()),
             outcome => outcome?,
         }
-        number.set(asked.number);
+        number.set(requested.number);
         answer.clear();
         let is_cancelled = || page.is_cancelled();
-        respond(&mut *service, &asked, &RunContext::new().asking(&is_cancelled), &mut answer)?;
+        respond(&mut *service, &requested, &RunContext::new().asking(&is_cancelled), &mut answer)?;
         if std::process::id() != own {
             // The FMU has forked, and this process is the copy.
             std::process::abort();
         }
         // Files that the model needs may have been removed with the folder.
         answer.is_last |= !folder.is_dir() || has_kept_instances();
-        answer.write(asked.number, &mut answers, &mut buffer)?;
-        page.note_answer(asked.number);
+        answer.write(requested.number, &mut answers, &mut buffer)?;
+        page.note_answer(requested.number);
     }
 }
 
@@ -155,14 +155,14 @@ fn exchange(channel: Channel, page: &'static Page, number: Rc<Cell<u32>>) -> Exc
 /// Answers a request with the service, and adds the notes. A panic becomes an error.
 fn respond(
     service: &mut dyn Service,
-    asked: &Frame,
+    requested: &Frame,
     context: &RunContext<'_>,
     answer: &mut Frame,
 ) -> io::Result<()> {
-    let served = catch_unwind(AssertUnwindSafe(|| service.answer(asked, context, answer)));
-    let told = match served {
+    let served = catch_unwind(AssertUnwindSafe(|| service.answer(requested, context, answer)));
+    let reported = match served {
         Ok(Ok(())) => None,
-        Ok(Err(error)) => Some(error.told()),
+        Ok(Err(error)) => Some(error.reported()),
         Err(panic) => {
             let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
             let text = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
@@ -176,9 +176,9 @@ fn respond(
             })
         }
     };
-    if let Some(told) = told {
+    if let Some(reported) = reported {
         answer.numbers.clear();
-        answer.set_head(&told)?;
+        answer.set_head(&reported)?;
         answer.is_error = true;
     }
     let notes = Notes { lines: take_lines(), quirks: service.new_quirks() };

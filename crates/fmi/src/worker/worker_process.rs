@@ -137,19 +137,19 @@ impl Process {
         late: Instant,
     ) -> Result<T, FmiError> {
         let mut greeting = Frame::default();
-        let said = match self.receive(context, late, &mut greeting) {
+        let reported = match self.receive(context, late, &mut greeting) {
             Ok(()) if greeting.is_error => Err(greeting.head::<String>().unwrap_or_default()),
             Ok(()) => greeting.head().map_err(|error| error.to_string()),
             Err(NoAnswer::Cancelled) => return Err(FmiError::Cancelled),
             Err(NoAnswer::Ended(end)) => Err(end.to_string()),
             Err(NoAnswer::Memory) => Err("not enough memory for its first message".to_owned()),
         };
-        said.map_err(|error| self.handle.not_started(&error))
+        reported.map_err(|error| self.handle.not_started(&error))
     }
 
     /// Sends a request and waits for the answer.
     pub(super) fn call(&mut self, question: &Question<'_>, answer: &mut Frame) -> Result<Notes, NoAnswer> {
-        let Question { asked, context, limits, .. } = *question;
+        let Question { requested, context, limits, .. } = *question;
         self.page.set_cancelled(false);
         self.n_calls += 1;
         self.number = self.number.wrapping_add(1);
@@ -163,7 +163,7 @@ impl Process {
         let mut watch = Watch { run_limit, ..Watch::new(page, &self.handle, self.most_memory, context) };
         let mut look = || watch.look();
         let mut to = PatientWriter { to: self.channel.get_ref(), wait: &mut look };
-        let sent = asked.write(number, &mut to, &mut self.buffer);
+        let sent = requested.write(number, &mut to, &mut self.buffer);
         // If the process has ended, reading the answer fails.
         let outcome = match sent {
             Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error),
@@ -177,12 +177,12 @@ impl Process {
                     if read.is_err() || !answer.is_asking {
                         break read;
                     }
-                    let told = answer_wanted(answer).and_then(|()| {
+                    let reported = answer_wanted(answer).and_then(|()| {
                         look()?;
                         let mut to = PatientWriter { to: self.channel.get_ref(), wait: &mut look };
                         answer.write(number, &mut to, &mut self.buffer)
                     });
-                    match told {
+                    match reported {
                         // If the process has ended, reading the answer fails.
                         Err(error) if error.kind() != ErrorKind::BrokenPipe => break Err(error),
                         _ => {}

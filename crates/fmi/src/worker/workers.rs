@@ -48,7 +48,7 @@ pub struct Workers {
     limits: WorkerLimits,
     idle: Mutex<Idle>,
     /// Warnings that workers have logged.
-    said: Mutex<HashSet<String>>,
+    reported: Mutex<HashSet<String>>,
     places: Places,
 }
 
@@ -140,7 +140,7 @@ impl PinnedProcess {
         answer: &mut Frame,
         accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
     ) -> Result<(T, Vec<Quirk>), FmiError> {
-        let accepted = ask(&mut self.process, question, answer, accept, &self.workers.said)?;
+        let accepted = ask(&mut self.process, question, answer, accept, &self.workers.reported)?;
         Ok((accepted, std::mem::take(&mut self.process.quirks)))
     }
 
@@ -176,7 +176,7 @@ impl Workers {
             launcher,
             limits,
             idle: Mutex::default(),
-            said: Mutex::default(),
+            reported: Mutex::default(),
             places: Places::default(),
         }))
     }
@@ -295,7 +295,7 @@ impl Workers {
         let _held = self.hold();
         let mut process = self.new_process(load, context)?;
         if process.loaded != Some(load.id) {
-            ask_to_load(&mut process, load, &mut Frame::default(), context, &self.said)?;
+            ask_to_load(&mut process, load, &mut Frame::default(), context, &self.reported)?;
         }
         Ok(PinnedProcess { process, workers: Arc::clone(self) })
     }
@@ -336,8 +336,8 @@ impl Workers {
                 && answer.is_of_used_process
             {
                 let Repeat { question, answer, outcome } = repeat;
-                let (told, goes_on) = self.call_in(&mut process, load, question, answer, &mut |_| Ok(()));
-                (*outcome, can_go_on) = (Some(told.map(drop)), goes_on);
+                let (reported, goes_on) = self.call_in(&mut process, load, question, answer, &mut |_| Ok(()));
+                (*outcome, can_go_on) = (Some(reported.map(drop)), goes_on);
             }
             // Otherwise, the process is dropped here, which ends it.
             if can_go_on && whom != AskedProcess::FreshOnce {
@@ -359,7 +359,7 @@ impl Workers {
             let is_tried_again = match &error {
                 FmiError::WorkerEnded(end) => end.kind != EndKind::Hung,
                 // A used process may have lost files that it needs.
-                FmiError::ReportedError(told) => was_used && told.is_of_process(),
+                FmiError::ReportedError(reported) => was_used && reported.is_of_process(),
                 _ => false,
             };
             if !is_of_end.get() {
@@ -408,20 +408,21 @@ impl Workers {
         accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
     ) -> (Result<(T, Vec<Quirk>), FmiError>, bool) {
         if process.loaded != Some(load.id)
-            && let Err(error) = ask_to_load(process, load, answer, question.context, &self.said)
+            && let Err(error) = ask_to_load(process, load, answer, question.context, &self.reported)
         {
             return (Err(error), false);
         }
         let began = Instant::now();
         let was_used = std::mem::replace(&mut process.is_used, true);
-        let told = ask(process, question, answer, accept, &self.said);
+        let reported = ask(process, question, answer, accept, &self.reported);
         answer.is_of_used_process = was_used;
-        let is_of_process = matches!(&told, Err(FmiError::ReportedError(told)) if told.is_of_process());
+        let is_of_process =
+            matches!(&reported, Err(FmiError::ReportedError(reported)) if reported.is_of_process());
         let can_go_on = !process.has_ended()
             && !is_of_process
             && !answer.is_last
             && !self.is_worn(process, began.elapsed());
-        (told.map(|accepted| (accepted, std::mem::take(&mut process.quirks))), can_go_on)
+        (reported.map(|accepted| (accepted, std::mem::take(&mut process.quirks))), can_go_on)
     }
 
     /// True if a worker has reached its maximum number of calls or its maximum memory growth.
@@ -529,12 +530,18 @@ fn ask_to_load(
     load: &Load,
     answer: &mut Frame,
     context: &RunContext<'_>,
-    said: &Mutex<HashSet<String>>,
+    reported: &Mutex<HashSet<String>>,
 ) -> Result<(), FmiError> {
     process.loaded = None;
-    let asked = &load.frame().map_err(no_worker)?;
+    let requested = &load.frame().map_err(no_worker)?;
     let limits = AnswerLimits { run: None, runs: 0, size: FrameSize::of_numbers(0) };
-    ask(process, &Question { asked, context, limits, is_repetition: false }, answer, &mut |_| Ok(()), said)?;
+    ask(
+        process,
+        &Question { requested, context, limits, is_repetition: false },
+        answer,
+        &mut |_| Ok(()),
+        reported,
+    )?;
     process.loaded = Some(load.id);
     Ok(())
 }
@@ -545,7 +552,7 @@ fn ask<T>(
     question: &Question<'_>,
     answer: &mut Frame,
     accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
-    said: &Mutex<HashSet<String>>,
+    reported: &Mutex<HashSet<String>>,
 ) -> Result<T, FmiError> {
     loop {
         let notes = process.call(question, answer).map_err(|no_answer| match no_answer {
@@ -554,7 +561,7 @@ fn ask<T>(
             NoAnswer::Memory => no_memory(answer),
         })?;
         if !question.is_repetition {
-            notes.pass_on(said);
+            notes.pass_on(reported);
         }
         process.quirks.extend(notes.quirks);
         if !answer.is_repeated {
@@ -566,14 +573,14 @@ fn ask<T>(
         }
         process.n_repeated += 1;
     }
-    let told = match answer.is_error {
+    let reported = match answer.is_error {
         true => answer.head::<ReportedError>().map(Err),
         false => accept(answer).map(Ok),
     };
-    match told {
+    match reported {
         Ok(Ok(accepted)) => Ok(accepted),
-        Ok(Err(told)) if told.kind == ReportedErrorKind::Cancelled => Err(FmiError::Cancelled),
-        Ok(Err(told)) => Err(FmiError::ReportedError(Box::new(told))),
+        Ok(Err(reported)) if reported.kind == ReportedErrorKind::Cancelled => Err(FmiError::Cancelled),
+        Ok(Err(reported)) => Err(FmiError::ReportedError(Box::new(reported))),
         Err(error) if error.kind() == io::ErrorKind::OutOfMemory => Err(no_memory(answer)),
         Err(error) => Err(FmiError::WorkerEnded(Box::new(process.unreadable(&error.to_string())))),
     }

@@ -270,7 +270,8 @@ fn nan_outputs_are_recorded() {
 /// have a different value.
 #[test]
 fn state_contradicting_its_variable_is_reported() {
-    let said = "x differs from the continuous state that it represents according to the model description";
+    let reported =
+        "x differs from the continuous state that it represents according to the model description";
     let options = SimulateOptions::new().ncp(10).outputs(["x", "y"]);
     let simulate = |value: &str| {
         let folder = evil(&[&format!("STATE_VALUE={value}")]);
@@ -282,14 +283,14 @@ fn state_contradicting_its_variable_is_reported() {
     let (result, quirks) = simulate("2*m->x");
     let result = result.unwrap();
     assert!(result.get("x").unwrap().iter().zip(result.get("y").unwrap()).all(|(x, y)| *x == 2.0 * y));
-    assert_eq!(quirks, [format!("{said}; the variable is recorded")]);
+    assert_eq!(quirks, [format!("{reported}; the variable is recorded")]);
     let (result, _) = simulate("NAN");
     assert!(result.unwrap().get("x").unwrap().iter().all(|x| x.is_nan()));
     // Later: the rows are already recorded.
     let (result, quirks) = simulate("m->time>0.5?2*m->x:m->x");
     let result = result.unwrap();
     assert_eq!(result.get("x").unwrap(), result.get("y").unwrap());
-    assert_eq!(quirks, [format!("at the end of a simulation, {said}; the state is recorded")]);
+    assert_eq!(quirks, [format!("at the end of a simulation, {reported}; the state is recorded")]);
     for (value, shown) in [("m->time>0.5?NAN:m->x", "NaN"), ("m->time>0.5?INFINITY:m->x", "inf")] {
         let error = simulate(value).0.unwrap_err().to_string();
         let expected = format!("at t = 1: x is {shown}, although the continuous state that it represents");

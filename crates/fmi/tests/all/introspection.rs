@@ -136,7 +136,8 @@ fn log_categories_are_selected_by_name() {
     let mut instance = instance.exit_initialization().unwrap();
     instance.update_discrete_states(1).unwrap();
     assert_eq!(instance.log().0, []);
-    let logging = LogOptions { asked: true, categories: vec!["logAll".to_owned()], ..LogOptions::default() };
+    let logging =
+        LogOptions { requested: true, categories: vec!["logAll".to_owned()], ..LogOptions::default() };
     let fmu = Fmu::open_with(&path, &OpenOptions { logging, ..OpenOptions::default() }).unwrap();
     let error = fmu.simulate(&SimulateOptions::new()).unwrap_err();
     assert!(matches!(error, FmiError::BadSetting(_)), "{error}");

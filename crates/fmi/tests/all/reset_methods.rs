@@ -93,13 +93,13 @@ fn values_are_set_after_setup_experiment() {
 #[test]
 fn tolerance_is_passed_to_the_model_when_specified() {
     let folder = with_states(&["TELLS_TOLERANCE"]);
-    let told = |options: SimulateOptions| {
+    let reported = |options: SimulateOptions| {
         let options = options.final_time(1.0).outputs(["k"]);
         folder.open().simulate(&options).unwrap().get("k").unwrap()[0]
     };
     for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
         let options = || SimulateOptions::new().kind(kind);
-        assert_eq!((told(options()), told(options().relative_tolerance(1e-4))), (-1.0, 1e-4));
+        assert_eq!((reported(options()), reported(options().relative_tolerance(1e-4))), (-1.0, 1e-4));
     }
     let stated = evil_with(&["TELLS_TOLERANCE"], |xml| {
         xml.replace("stopTime=\"1\"", "stopTime=\"1\" tolerance=\"1e-3\"")

@@ -35,7 +35,7 @@ pub(crate) fn run(arguments: &arguments::Fit, begin: Begin, console: &Console) -
     let interrupt = Interrupt::watch()?;
     let is_asked = || interrupt.is_asked();
     let calibration = file.calibration(&RunContext::new().asking(&is_asked))?;
-    calibration.columns_without_unit().iter().for_each(|said| console.note(said));
+    calibration.columns_without_unit().iter().for_each(|reported| console.note(reported));
     let n = calibration.parameters().len();
     let mut options = file.options(n)?;
     let stages = file.stages(n, options.run.workers)?;
@@ -114,7 +114,7 @@ pub(super) fn check_fit(
     options: &FitOptions<'_>,
     stages: &[Stage],
 ) -> Result<(), Error> {
-    let asked = FitOptions {
+    let requested = FitOptions {
         run: options.run.clone(),
         start: options.start.clone(),
         objective: options.objective.clone(),
@@ -123,20 +123,20 @@ pub(super) fn check_fit(
         ..FitOptions::default()
     };
     let stages = (!stages.is_empty()).then_some(stages);
-    calibration.check_fit(stages, asked).map_err(Error::of_input)
+    calibration.check_fit(stages, requested).map_err(Error::of_input)
 }
 
 /// Returns the reasons why the result of a fit should not be used, with the probable cause.
 fn reasons_against(fit: &Fit) -> Vec<String> {
     let findings = fit.findings();
     let errors = findings.iter().filter(|finding| finding.severity == Severity::Error);
-    let mut said: Vec<String> =
+    let mut reported: Vec<String> =
         errors.map(|error| format!("error: the result should not be used: {}", error.text())).collect();
     let cause = findings.iter().find(|f| f.severity == Severity::Warning && f.origin == Origin::Problem);
-    said.extend(
-        cause.filter(|_| !said.is_empty()).map(|cause| format!("probable cause: {}", cause.advice())),
+    reported.extend(
+        cause.filter(|_| !reported.is_empty()).map(|cause| format!("probable cause: {}", cause.advice())),
     );
-    said
+    reported
 }
 
 /// Serves a page that will show the fit, and prints its address.

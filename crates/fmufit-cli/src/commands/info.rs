@@ -18,8 +18,8 @@ pub(crate) fn run(arguments: &Info, console: &Console) -> Result<Exit, Error> {
         Some(word) => variable.causality.name().eq_ignore_ascii_case(word),
         None => true,
     };
-    let asked: Vec<&Variable> = description.variables.iter().filter(is_asked).collect();
-    if let Some(word) = arguments.causality.as_ref().filter(|_| asked.is_empty()) {
+    let requested: Vec<&Variable> = description.variables.iter().filter(is_asked).collect();
+    if let Some(word) = arguments.causality.as_ref().filter(|_| requested.is_empty()) {
         let mut known: Vec<&str> = description.variables.iter().map(|v| v.causality.name()).collect();
         known.sort_unstable();
         known.dedup();
@@ -29,12 +29,12 @@ pub(crate) fn run(arguments: &Info, console: &Console) -> Result<Exit, Error> {
         )));
     }
     if arguments.json {
-        console.json(&document(&fmu, &asked))?;
+        console.json(&document(&fmu, &requested))?;
         return Ok(Exit::Success);
     }
     let is_shown =
         |variable: &&&Variable| arguments.all || arguments.causality.is_some() || !is_internal(variable);
-    let shown: Vec<&&Variable> = asked.iter().filter(is_shown).collect();
+    let shown: Vec<&&Variable> = requested.iter().filter(is_shown).collect();
     let mut table = Table::new(["name", "causality", "variability", "type", "unit", "start", "description"]);
     for variable in &shown {
         table.row([
@@ -50,7 +50,7 @@ pub(crate) fn run(arguments: &Info, console: &Console) -> Result<Exit, Error> {
     console.result(&header(&fmu));
     console.result("");
     console.result(&table.text(console.width()));
-    match asked.len() - shown.len() {
+    match requested.len() - shown.len() {
         0 => {}
         n => console.result(&format!("\nand {n} internal variables; use --all to show them")),
     }

@@ -111,7 +111,7 @@ fn init(arguments: &JobsInit, console: &Console) -> Result<Exit, Error> {
     let interrupt = Interrupt::watch()?;
     let is_asked = || interrupt.is_asked();
     let calibration = file.calibration(&RunContext::new().asking(&is_asked))?;
-    calibration.columns_without_unit().iter().for_each(|said| console.note(said));
+    calibration.columns_without_unit().iter().for_each(|reported| console.note(reported));
     if options(&file, &calibration)?.0.run.seed.is_none() {
         given.insert("rng".to_owned(), Value::Count(dfo::draw_seed()));
         file.set("fit", given.clone());

@@ -59,8 +59,8 @@ pub(crate) fn run(arguments: &Simulate, console: &Console) -> Result<Exit, Error
             calibration::plot(&trajectory.time, columns.map(|(name, values)| (label(name), &values[..])));
         write(path, &plot.ok_or_else(|| Error::work("--plot: the result has no finite values to plot"))?)?;
     }
-    if let Some(said) = trajectory.not_finite() {
-        console.note(&format!("warning: {said}"));
+    if let Some(reported) = trajectory.not_finite() {
+        console.note(&format!("warning: {reported}"));
     }
     if trajectory.termination == Termination::StoppedByModel {
         console

@@ -346,8 +346,8 @@ fn errors_name_the_line_of_a_mistake() {
 fn unsupported_method_options_are_wrong_input() {
     let folder = decay("\n[fit]\npopulation = 5\n");
     for command in ["check", "fit"] {
-        let said = folder.run(&format!("{command} problem.toml")).wrong_input();
-        assert!(said.contains("has no option 'population'"), "{said}");
+        let reported = folder.run(&format!("{command} problem.toml")).wrong_input();
+        assert!(reported.contains("has no option 'population'"), "{reported}");
     }
 }
 

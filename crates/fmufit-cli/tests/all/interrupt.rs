@@ -78,18 +78,18 @@ fn page_button_ends_the_fit_with_best_point() {
     lines.read_line(&mut line).unwrap();
     let place = line.trim_end().strip_prefix("watch the fit at http://").unwrap_or_else(|| panic!("{line}"));
     let (host, path) = place.split_once('/').unwrap();
-    let asked = |method: &str, path: &str| {
+    let requested = |method: &str, path: &str| {
         let mut stream = TcpStream::connect(host).unwrap();
         write!(stream, "{method} /{path} HTTP/1.1\r\nHost: {host}\r\n\r\n").unwrap();
         let mut answer = String::new();
         stream.read_to_string(&mut answer).unwrap();
         answer
     };
-    while !asked("GET", &format!("{path}state")).contains("Convergence") {
+    while !requested("GET", &format!("{path}state")).contains("Convergence") {
         std::thread::yield_now();
     }
-    assert!(asked("GET", path).contains("armFriction"));
-    assert!(asked("POST", &format!("{path}stop")).starts_with("HTTP/1.1 303"));
+    assert!(requested("GET", path).contains("armFriction"));
+    assert!(requested("POST", &format!("{path}stop")).starts_with("HTTP/1.1 303"));
     let ran = Ran::of(child.wait_with_output().unwrap());
     let result = json(&ran.out);
     assert_eq!((ran.code, &result["termination"]), (130, &"interrupted".into()), "{result}");

@@ -263,10 +263,10 @@ impl Run<'_> {
             self.h = self.step_without_states();
             return Ok(());
         }
-        let room = (self.target() - self.t).max(0.0).min(self.sliding.step().unwrap_or(f64::INFINITY));
+        let capacity = (self.target() - self.t).max(0.0).min(self.sliding.step().unwrap_or(f64::INFINITY));
         let space = &mut *self.space;
         let dx = self.stepper.derivative();
-        let probe = probe_step(&space.weights, &space.x, dx, span).min(room);
+        let probe = probe_step(&space.weights, &space.x, dx, span).min(capacity);
         if probe.is_nan() || probe <= 0.0 {
             self.h = 1e-6 * span;
             return Ok(());
@@ -274,7 +274,7 @@ impl Run<'_> {
         if self.stepper.properties().only_own_slopes {
             // As in DASSL: the step that changes the states by half their tolerances.
             let most = 0.5 / space.weights.norm(&space.x, dx);
-            self.h = most.min(1e-3 * room);
+            self.h = most.min(1e-3 * capacity);
             return Ok(());
         }
         for ((p, x), d) in space.x_mid.iter_mut().zip(&space.x).zip(dx) {

@@ -59,8 +59,8 @@ impl Run<'_> {
         h: f64,
         ready: &mut bool,
     ) -> CallResult<Option<f64>> {
-        let asked = self.options.interior_samples.is_some();
-        let points = if asked || !self.space.domains.changed() { self.interior_points() } else { 0 };
+        let requested = self.options.interior_samples.is_some();
+        let points = if requested || !self.space.domains.changed() { self.interior_points() } else { 0 };
         let start = self.t;
         let inside = (1..=points).map(|i| start + h * i as f64 / (points + 1) as f64);
         for at in behind.into_iter().chain(inside) {
@@ -68,7 +68,7 @@ impl Run<'_> {
                 return Ok(Some(at));
             }
         }
-        let mut left = if asked || points == 0 { 0 } else { MAX_LOOKS };
+        let mut left = if requested || points == 0 { 0 } else { MAX_LOOKS };
         let mut has_changed = self.space.domains.changed();
         for i in 0..self.space.domains.len() {
             if !has_changed && self.space.domains.keeps_clear(i, start, end) {

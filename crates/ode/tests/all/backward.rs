@@ -76,8 +76,8 @@ fn differential_algebraic_systems_run_backward() {
         Argument::States => j.copy_from_slice(&[0.0, -1.0, 1.0, 1.0]),
         Argument::Slopes => j[0] = 1.0,
     };
-    let asked = || solve_dae(residual, 2.0..-1.0, &[exact(2.0), 0.0], &[0.0; 2]).relative_tolerance(1e-8);
-    for solution in [asked().run().unwrap(), asked().residual_jacobian(jacobian).run().unwrap()] {
+    let requested = || solve_dae(residual, 2.0..-1.0, &[exact(2.0), 0.0], &[0.0; 2]).relative_tolerance(1e-8);
+    for solution in [requested().run().unwrap(), requested().residual_jacobian(jacobian).run().unwrap()] {
         let x = solution.last();
         assert!((x[0] - exact(-1.0)).abs() < 1e-5 && (x[1] - x[0]).abs() < 1e-7, "{x:?}");
     }

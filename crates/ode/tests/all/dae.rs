@@ -8,7 +8,7 @@ mod problems;
 use ode::*;
 use problems::{AKZO, ALL, AMPLIFIER, Dae, ROBERTSON};
 
-fn asked<'a>(problem: &Dae, rtol: f64) -> Solve<'a> {
+fn requested<'a>(problem: &Dae, rtol: f64) -> Solve<'a> {
     solve_dae(problem.residual, 0.0..problem.end, problem.x0, &vec![0.0; problem.x0.len()])
         .relative_tolerance(rtol)
         .absolute_tolerance(problem.atol * rtol)
@@ -16,7 +16,7 @@ fn asked<'a>(problem: &Dae, rtol: f64) -> Solve<'a> {
 }
 
 fn solved(problem: &Dae, rtol: f64) -> (f64, Stats) {
-    let solution = asked(problem, rtol).run().unwrap();
+    let solution = requested(problem, rtol).run().unwrap();
     (problem.digits(solution.last()), solution.report.stats)
 }
 
@@ -362,7 +362,7 @@ fn panic_in_residual_propagates() {
 fn user_jacobians_give_the_same_solution() {
     let plain = solved(&AKZO, 1e-6);
     let pattern = JacobianPattern::new(6, (0..6).flat_map(|i| (0..6).map(move |k| (i, k)))).unwrap();
-    let whole = asked(&AKZO, 1e-6).pattern(pattern).run().unwrap();
+    let whole = requested(&AKZO, 1e-6).pattern(pattern).run().unwrap();
     assert_eq!(AKZO.digits(whole.last()), plain.0);
     let jacobian = |_: f64, y: &[f64], _: &[f64], argument: Argument, j: &mut [f64]| match argument {
         Argument::Slopes => (j[0], j[4]) = (1.0, 1.0),
@@ -371,7 +371,7 @@ fn user_jacobians_give_the_same_solution() {
             j.copy_from_slice(&[0.04, -0.04, 1.0, -b * y[2], b * y[2] + c, 1.0, -b * y[1], b * y[1], 1.0]);
         }
     };
-    let own = asked(&ROBERTSON, 1e-6).residual_jacobian(jacobian).run().unwrap();
+    let own = requested(&ROBERTSON, 1e-6).residual_jacobian(jacobian).run().unwrap();
     let differences = solved(&ROBERTSON, 1e-6);
     assert!(ROBERTSON.digits(own.last()) > 4.9);
     assert!(own.report.stats.right_hand_sides + 10 < differences.1.right_hand_sides);
@@ -417,7 +417,7 @@ fn large_sparse_dae_is_solved() {
 #[test]
 fn algebraic_states_can_be_excluded_from_error_test() {
     let plain = solved(&AKZO, 1e-6);
-    let without = asked(&AKZO, 1e-6).options(|o| o.exclude_algebraic = true).run().unwrap();
+    let without = requested(&AKZO, 1e-6).options(|o| o.exclude_algebraic = true).run().unwrap();
     assert!(AKZO.digits(without.last()) > 5.0);
     assert!(without.report.stats.accepted_steps != plain.1.accepted_steps);
 }

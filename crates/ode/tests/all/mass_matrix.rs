@@ -227,17 +227,17 @@ fn algebraic_guess_is_corrected_at_start() {
         for (y, z) in [(3.0, 0.0), (2.0, 5.0), (-40.0, 1e3), (0.0, 0.0), (300.0, -1e5)] {
             let options = Options { method, relative_tolerance: 1e-8, ..Options::default() };
             let (mut seen, mut driver) = (Recorder::default(), Driver::new(options).unwrap());
-            let mut told = Told {
+            let mut reported = Told {
                 dae: Dae { x0: vec![1.0, y, z], mass: [&[1.0][..], &[0.0; 8]].concat(), f: plain },
                 corrections: Vec::new(),
             };
-            driver.run(&mut told, 0.0, 1.0, &[0.0, 1.0], &mut seen).unwrap();
+            driver.run(&mut reported, 0.0, 1.0, &[0.0, 1.0], &mut seen).unwrap();
             let start = &seen.rows[0].3;
             assert!(start[0] == 1.0 && (start[1] - 3.0).abs() < 1e-9 && start[2].abs() < 1e-8, "{start:?}");
             if y == 3.0 {
-                assert!(told.corrections.is_empty() && start[1..] == [y, z]);
+                assert!(reported.corrections.is_empty() && start[1..] == [y, z]);
             } else {
-                assert_eq!(told.corrections, [(0.0, start.clone())]);
+                assert_eq!(reported.corrections, [(0.0, start.clone())]);
             }
 
             // B^-1 times (1, y, z), by Cramer's rule.

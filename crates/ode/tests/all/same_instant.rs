@@ -129,8 +129,8 @@ fn row_follows_all_events_of_its_time() {
                         let times = [at, start + span];
                         let mut system = Two { at, by_time };
                         driver.run(&mut system, start, start + span, &times, &mut seen).unwrap();
-                        let asked = seen.rows.iter().filter(|row| row.1.is_some());
-                        let counts: Vec<f64> = asked.map(|row| row.3[1]).collect();
+                        let requested = seen.rows.iter().filter(|row| row.1.is_some());
+                        let counts: Vec<f64> = requested.map(|row| row.3[1]).collect();
                         if counts != [2.0, 2.0] {
                             let name = method.name();
                             wrong.push(format!("{name} {relative_tolerance:e} {at} {by_time}: {counts:?}"));

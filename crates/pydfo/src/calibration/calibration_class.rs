@@ -364,15 +364,20 @@ impl PyCalibration {
     }
 
     /// Runs a fit. `page` receives the live page before the fit starts.
-    fn fit<'py>(&self, py: Python<'py>, asked: PyRecord, objects: FitFields) -> PyResult<Bound<'py, PyAny>> {
+    fn fit<'py>(
+        &self,
+        py: Python<'py>,
+        requested: PyRecord,
+        objects: FitFields,
+    ) -> PyResult<Bound<'py, PyAny>> {
         let FitFields { start, observer, stages, objective, engine, page } = objects;
         let n_parameters = self.inner().parameters().len();
-        let options = FitOptions::from_record(asked.values.clone(), n_parameters);
+        let options = FitOptions::from_record(requested.values.clone(), n_parameters);
         let FitOptions { run, loss, noise, preflight, uncertainty, .. } =
-            options.map_err(|e| asked.error(py, &e))?;
-        let stage = |asked: PyRecord| {
-            calibration::Stage::from_record(asked.values.clone(), n_parameters, run.workers)
-                .map_err(|e| asked.error(py, &e))
+            options.map_err(|e| requested.error(py, &e))?;
+        let stage = |requested: PyRecord| {
+            calibration::Stage::from_record(requested.values.clone(), n_parameters, run.workers)
+                .map_err(|e| requested.error(py, &e))
         };
         let stages: Option<Vec<calibration::Stage>> =
             stages.map(|stages| stages.into_iter().map(stage).collect()).transpose()?;
@@ -386,11 +391,11 @@ impl PyCalibration {
             engine.map(|engine| PySimulationExecutor::new(engine.bind(py), Arc::clone(&stop))).transpose()?;
         let listener = observer.map(|function| Arc::new(Listener::new(function, false)));
         let last_progress = Arc::new(LastProgress::default());
-        let (inner, asked) = (Arc::clone(&self.shared.inner), Arc::clone(&stop));
+        let (inner, requested) = (Arc::clone(&self.shared.inner), Arc::clone(&stop));
         let (seen, notified) = (Arc::clone(&last_progress), listener.clone());
         let callbacks = self.shared.callbacks.clone();
         let open = |opened: Py<PyAny>| -> PyResult<_> {
-            let asked = FitOptions {
+            let requested = FitOptions {
                 run: run.clone(),
                 start: start.clone(),
                 objective: objective.clone(),
@@ -398,7 +403,7 @@ impl PyCalibration {
                 noise,
                 ..FitOptions::default()
             };
-            let checked = self.inner().check_fit(stages.as_deref(), asked);
+            let checked = self.inner().check_fit(stages.as_deref(), requested);
             checked.map_err(|e| error::calibration(py, &e))?;
             let inner = Arc::new(LivePage::start(self.inner())?);
             opened.call1(py, (PyLivePage { inner: Arc::clone(&inner) },))?;
@@ -408,14 +413,14 @@ impl PyCalibration {
         let mut shown = FitOptions::default();
         page.iter().for_each(|page| page.attach(&mut shown));
         let FitOptions { phase, live, .. } = shown;
-        let (told, stopped) = (Arc::clone(&phase), page.clone());
+        let (reported, stopped) = (Arc::clone(&phase), page.clone());
         let outcome = watch.run(
             move |caller| {
                 let is_stop_asked = || page.as_ref().is_some_and(|page| page.is_stop_asked());
                 let (flag, ask) =
-                    (asked.flag(), || asked.is_asked() || callbacks.has_raised() || is_stop_asked());
+                    (requested.flag(), || requested.is_asked() || callbacks.has_raised() || is_stop_asked());
                 let context = RunContext::new().flagged(&flag);
-                let is_asked = asked.has_parent() || !callbacks.is_empty() || page.is_some();
+                let is_asked = requested.has_parent() || !callbacks.is_empty() || page.is_some();
                 let context = if is_asked { context.asking(&ask) } else { context };
                 let options = FitOptions {
                     run,
@@ -425,7 +430,7 @@ impl PyCalibration {
                     noise,
                     preflight,
                     uncertainty,
-                    phase: told,
+                    phase: reported,
                     live,
                     engine: engine
                         .map(|engine| Rc::new(RefCell::new(engine)) as Rc<RefCell<dyn SimulationExecutor>>),
@@ -440,7 +445,7 @@ impl PyCalibration {
                     None => inner.fit(options),
                 };
                 if let (Ok(fit), Some(page)) = (&fit, &page)
-                    && !asked.is_asked()
+                    && !requested.is_asked()
                 {
                     // The page only shows an existing fit, so its errors do not fail the fit.
                     page.show_report(&inner, fit, &RunContext::new().flagged(&flag))

@@ -80,11 +80,11 @@ fn to_python<'py>(py: Python<'py>, validation: &Validation) -> PyResult<Bound<'p
 pub(crate) fn cross_validate<'py>(
     py: Python<'py>,
     calibration: &PyCalibration,
-    asked: PyRecord,
+    requested: PyRecord,
 ) -> PyResult<Bound<'py, PyDict>> {
     let n_parameters = calibration.inner().parameters().len();
-    let options = CrossValidationOptions::from_record(asked.values.clone(), n_parameters);
-    let options = options.map_err(|e| asked.error(py, &e))?;
+    let options = CrossValidationOptions::from_record(requested.values.clone(), n_parameters);
+    let options = options.map_err(|e| requested.error(py, &e))?;
     let found = calibration.shared.compute(py, move |c, context| c.cross_validate(&options, context))?;
     let of_fold = |fold: &Fold| {
         Ok(dict!(py;

@@ -24,17 +24,17 @@ pub(crate) fn raise(py: Python<'_>, error: &FmiError) -> PyErr {
     if let FmiError::Io { path, source, .. } = error {
         return os_error(py, path, source, message);
     }
-    let told = error.told();
-    match told.kind {
+    let reported = error.reported();
+    match reported.kind {
         ReportedErrorKind::Cancelled => Interrupted::new_err("interrupted"),
         ReportedErrorKind::Memory => PyMemoryError::new_err(message),
         ReportedErrorKind::NoFile => PyFileNotFoundError::new_err(message),
         ReportedErrorKind::UnknownVariable => UnknownVariableError::new_err(message),
         ReportedErrorKind::WrongType => ModelTypeError::new_err(message),
         ReportedErrorKind::Setting => BadModelValueError::new_err(message),
-        ReportedErrorKind::Simulation => simulation(py, told, message),
+        ReportedErrorKind::Simulation => simulation(py, reported, message),
         // A call failed outside a simulation.
-        _ if told.status.is_some() => simulation(py, told, message),
+        _ if reported.status.is_some() => simulation(py, reported, message),
         _ => FmuError::new_err(message),
     }
 }
@@ -65,8 +65,8 @@ fn os_error(py: Python<'_>, path: &Path, source: &io::Error, message: String) ->
     make().unwrap_or_else(|e| e)
 }
 
-fn simulation(py: Python<'_>, told: ReportedError, message: String) -> PyErr {
-    let attributes = || Ok(dict!(py; told => status, time, log));
+fn simulation(py: Python<'_>, reported: ReportedError, message: String) -> PyErr {
+    let attributes = || Ok(dict!(py; reported => status, time, log));
     with_attributes(py, SimulationError::new_err(message), attributes())
 }
 

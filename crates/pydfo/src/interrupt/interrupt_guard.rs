@@ -38,7 +38,7 @@ const STACK_SIZE: usize = 16 << 20;
 #[derive(Default)]
 pub(crate) struct EndRequest {
     flag: Arc<AtomicBool>,
-    asked: AtomicU32,
+    requested: AtomicU32,
     /// The work that contains this work.
     parent: Option<Arc<EndRequest>>,
     /// Exception raised by a signal handler of the user.
@@ -54,7 +54,7 @@ impl EndRequest {
 
     /// True if the user, or the surrounding work, has requested the end of this work.
     pub(crate) fn is_asked(&self) -> bool {
-        if self.asked.load(Ordering::Relaxed) > 0 {
+        if self.requested.load(Ordering::Relaxed) > 0 {
             return true;
         }
         let by_parent = self.parent.as_ref().is_some_and(|p| p.is_asked());
@@ -78,7 +78,7 @@ impl EndRequest {
     /// Requests the end. Returns the number of earlier requests.
     fn ask(&self) -> u32 {
         self.flag.store(true, Ordering::Relaxed);
-        self.asked.fetch_add(1, Ordering::Relaxed)
+        self.requested.fetch_add(1, Ordering::Relaxed)
     }
 
     /// Passes on log lines and lets Python handle its signals. Returns true if the user has interrupted the
@@ -314,7 +314,7 @@ impl Drop for InterruptGuard<'_> {
         if let Some(previous) = &self.previous {
             // Python handles pending signals before it changes a handler. A signal that arrived after the
             // last check reaches this work, which has ended.
-            let asked = self.stop.asked.load(Ordering::Relaxed);
+            let requested = self.stop.requested.load(Ordering::Relaxed);
             let restored = match self.restore(handler, previous) {
                 Err(e) if e.is_instance_of::<PyKeyboardInterrupt>(self.py) => self.restore(handler, previous),
                 outcome => outcome,
@@ -322,7 +322,7 @@ impl Drop for InterruptGuard<'_> {
             if let Err(e) = restored {
                 e.write_unraisable(self.py, None);
             }
-            came_late = self.stop.asked.load(Ordering::Relaxed) > asked;
+            came_late = self.stop.requested.load(Ordering::Relaxed) > requested;
         }
         lock(&handler.get().active).retain(|s| !Arc::ptr_eq(s, &self.stop));
         if came_late {

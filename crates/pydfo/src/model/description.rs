@@ -45,7 +45,7 @@ impl From<OpenFields> for OpenOptions {
             },
             loader: LoaderOptions { deepbind: fields.deepbind, lazy: fields.lazy },
             logging: LogOptions {
-                asked: fields.logging,
+                requested: fields.logging,
                 categories: fields.log_categories,
                 filter,
                 shown: fields.show_log,

@@ -278,8 +278,8 @@ impl Model {
         }
         match outcome {
             Some(Ok(trajectory)) if !stop.is_asked() => {
-                if let Some(said) = trajectory.not_finite() {
-                    error::warn_as(py, &py.get_type::<error::SimulationWarning>(), &said)?;
+                if let Some(reported) = trajectory.not_finite() {
+                    error::warn_as(py, &py.get_type::<error::SimulationWarning>(), &reported)?;
                 }
                 trajectory::record(py, described.description(), trajectory)
             }
@@ -347,10 +347,12 @@ impl Own {
             return outcome;
         }
         let options = self.session.with_values(options);
-        let told =
+        let reported =
             self.process(WorkerLimits::default()).and_then(|process| process.simulate(&options, context));
-        match told {
-            Err(FmiError::ReportedError(told)) if !told.log.is_empty() => Err(FmiError::ReportedError(told)),
+        match reported {
+            Err(FmiError::ReportedError(reported)) if !reported.log.is_empty() => {
+                Err(FmiError::ReportedError(reported))
+            }
             _ => outcome,
         }
     }
@@ -370,9 +372,10 @@ impl Own {
                 false => Some(self.session.get(name)?),
             });
         }
-        let asked = names.iter().zip(&values).filter(|(_, value)| value.is_none());
-        let asked: Vec<String> = asked.map(|(name, _)| name.clone()).collect();
-        let mut found = if asked.is_empty() { Vec::new() } else { self.ask(&asked, context)? }.into_iter();
+        let requested = names.iter().zip(&values).filter(|(_, value)| value.is_none());
+        let requested: Vec<String> = requested.map(|(name, _)| name.clone()).collect();
+        let mut found =
+            if requested.is_empty() { Vec::new() } else { self.ask(&requested, context)? }.into_iter();
         names
             .iter()
             .zip(values)

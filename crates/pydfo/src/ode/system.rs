@@ -189,8 +189,8 @@ impl HybridSystem for PySystem<'_> {
                 .call1((t, this.array(x), this.array(dx)))?
                 .extract::<(Bound<'_, PyAny>, Bound<'_, PyAny>)>()
                 .map_err(|_| PyTypeError::new_err("jac must return two matrices, dF/dy and dF/dy'"))?;
-            let asked = if argument == Argument::States { of_states } else { of_slopes };
-            j.copy_from_slice(&matrix(&asked, x.len(), "jac")?);
+            let requested = if argument == Argument::States { of_states } else { of_slopes };
+            j.copy_from_slice(&matrix(&requested, x.len(), "jac")?);
             Ok(true)
         })
     }

@@ -5,7 +5,7 @@ use crate::convert::object::to_bytes;
 use crate::interrupt::interrupt_guard::{EndRequest, Inside};
 use crate::optimize::objective::PyObjective;
 use calibration::{Calibration, SimulationExecutor};
-use dfo::{Answer, CutoffUse, Evaluator, Outcome, Polled, Query, RobustLoss, Wait};
+use dfo::{Answer, CutoffUse, Evaluator, Outcome, PollResult, Query, RobustLoss, Wait};
 use numpy::PyArray1;
 use ode::Stats;
 use pyo3::prelude::*;
@@ -138,7 +138,7 @@ impl<A: Answers> Evaluator for OnExecutor<A> {
         self.futures.submit(x, &query);
     }
 
-    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled {
+    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> PollResult {
         answer.clear();
         match self.futures.poll(wait) {
             PolledAnswer::Value { id, x, seconds, value } => {
@@ -146,18 +146,18 @@ impl<A: Answers> Evaluator for OnExecutor<A> {
                     self.answers.read(&x, value, answer);
                 }
                 answer.seconds = seconds;
-                Polled::Answered(id)
+                PollResult::Answered(id)
             }
             PolledAnswer::Lost { id, why } => {
                 answer.outcome = Outcome::lost(why.to_string());
-                Polled::Answered(id)
+                PollResult::Answered(id)
             }
             PolledAnswer::Broken { id, x, why } => {
                 answer.outcome = self.answers.broken(&x, why);
-                Polled::Answered(id)
+                PollResult::Answered(id)
             }
-            PolledAnswer::Waiting => Polled::Waiting,
-            PolledAnswer::Idle => Polled::Idle,
+            PolledAnswer::Waiting => PollResult::Waiting,
+            PolledAnswer::Idle => PollResult::Idle,
         }
     }
 

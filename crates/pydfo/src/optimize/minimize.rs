@@ -22,12 +22,17 @@ pub(crate) struct RunSetup {
     x0: Option<Vec<f64>>,
     lower: Vec<f64>,
     upper: Vec<f64>,
-    asked: RequestedRun,
+    requested: RequestedRun,
 }
 
 impl RunSetup {
-    pub(crate) fn new(x0: Option<Vec<f64>>, lower: Vec<f64>, upper: Vec<f64>, asked: RequestedRun) -> Self {
-        Self { x0, lower, upper, asked }
+    pub(crate) fn new(
+        x0: Option<Vec<f64>>,
+        lower: Vec<f64>,
+        upper: Vec<f64>,
+        requested: RequestedRun,
+    ) -> Self {
+        Self { x0, lower, upper, requested }
     }
 
     /// Passes this setup to the optimiser.
@@ -39,7 +44,7 @@ impl RunSetup {
             Some(x0) => run.start(x0),
             None => run,
         };
-        Ok(run.bounds(&self.lower, &self.upper)?.requested(self.asked))
+        Ok(run.bounds(&self.lower, &self.upper)?.requested(self.requested))
     }
 
     fn run(
@@ -82,13 +87,13 @@ pub(crate) fn minimize<'py>(
     cutoffs: bool,
 ) -> PyResult<Bound<'py, PyAny>> {
     let loss = RobustLoss::from_record(&mut options.values).map_err(|e| options.error(py, &e))?;
-    let asked = options.run(py, RunOptions::default(), lower.len())?;
-    if loss.is_none() && asked.options.method.needs_residuals() {
+    let requested = options.run(py, RunOptions::default(), lower.len())?;
+    if loss.is_none() && requested.options.method.needs_residuals() {
         return Err(error::optimiser(py, &dfo::Error::NeedsResiduals { method: "least-squares" }));
     }
     let kind = ResultKind::of(loss.is_some());
-    let alone = asked.options.workers.is_none_or(|workers| workers == 1);
-    let setup = RunSetup::new(x0, lower, upper, asked);
+    let alone = requested.options.workers.is_none_or(|workers| workers == 1);
+    let setup = RunSetup::new(x0, lower, upper, requested);
     let watch = InterruptGuard::new(py)?;
     let stop = Arc::clone(watch.stop());
     let objective = Arc::new(PyObjective::new(func, tolerant, cutoffs, loss, Arc::clone(&stop)));

@@ -154,9 +154,9 @@ impl PyObjective {
         let points = PyArray1::from_slice(py, batch.as_flat()).reshape([batch.len(), batch.n()])?;
         let cutoffs = PyArray1::from_iter(py, (0..batch.len()).map(|k| batch.query(k).cutoff));
         let stop = Arc::clone(&self.stop);
-        let asked = PyCFunction::new_closure(py, None, None, move |args, _| stop.poll(args.py()))?;
+        let requested = PyCFunction::new_closure(py, None, None, move |args, _| stop.poll(args.py()))?;
         let answers: Vec<Bound<'py, PyAny>> =
-            self.function.bind(py).call1((points, cutoffs, asked))?.extract()?;
+            self.function.bind(py).call1((points, cutoffs, requested))?.extract()?;
         if answers.len() == batch.len() {
             return Ok(answers);
         }

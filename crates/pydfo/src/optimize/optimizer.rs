@@ -37,9 +37,9 @@ impl PyOptimizer {
         options: PyRecord,
     ) -> PyResult<Self> {
         let n = lower.len();
-        let asked = options.run(py, RunOptions::default(), n)?;
-        let of_residuals = asked.options.method.needs_residuals();
-        let setup = RunSetup::new(x0, lower, upper, asked);
+        let requested = options.run(py, RunOptions::default(), n)?;
+        let of_residuals = requested.options.method.needs_residuals();
+        let setup = RunSetup::new(x0, lower, upper, requested);
         let optimizer = py.detach(|| setup.describe(dfo::by_hand()).and_then(|run| run.optimizer()));
         logs::pass_on(py)?;
         let inner = Mutex::new(optimizer.map_err(|e| error::optimiser(py, &e))?);
@@ -85,9 +85,9 @@ impl PyOptimizer {
         // This may write the checkpoint, and another thread waiting for this one may hold the interpreter
         // lock.
         let watch = InterruptGuard::without_handler(py);
-        let told = watch.run_here(|context| lock(&self.inner).tell_unless(id, answer, context));
+        let reported = watch.run_here(|context| lock(&self.inner).tell_unless(id, answer, context));
         logs::pass_on(py)?;
-        told.map_err(|e| error::optimiser(py, &e))?;
+        reported.map_err(|e| error::optimiser(py, &e))?;
         if watch.stop().is_asked() { Err(watch.interrupted()) } else { Ok(()) }
     }
 

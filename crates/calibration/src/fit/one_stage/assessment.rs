@@ -35,7 +35,7 @@ impl Calibration {
     /// Returns the fit for completed searches. Also returns their residuals with the weights of this
     /// calibration. `own` is the calibration with the weights and the tolerance of the fit. `stats` counts
     /// the simulations of the searches, and `budget` limits further simulations.
-    pub(crate) fn judged(
+    pub(crate) fn assessed(
         &self,
         own: &Self,
         job: &Job<'_>,
@@ -115,7 +115,7 @@ impl Calibration {
             start_cost,
             start_rms,
             objective: objective.name().to_owned(),
-            options: job.asked.clone(),
+            options: job.requested.clone(),
             start: start.clone(),
             stages: Vec::new(),
             phases: Vec::new(),

@@ -99,7 +99,7 @@ impl Calibration {
             }
             let own_remote = own.evaluator().remote.as_ref().ok();
             let compared = own_remote.filter(|_| has_room && !is_apart && !job.context.is_over());
-            let judge = || Ok::<_, Infallible>(self.judged(own, &job, made, stats, budget));
+            let judge = || Ok::<_, Infallible>(self.assessed(own, &job, made, stats, budget));
             let (Ok((mut fit, kept)), checks) = match compared {
                 Some(remote) => {
                     let compare = |context: &RunContext<'_>| {

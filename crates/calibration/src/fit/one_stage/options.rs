@@ -118,8 +118,8 @@ impl FitOptions<'_> {
             ..Self::default()
         };
         if let Some(name) = own.objective {
-            let asked = name.to_ascii_lowercase().replace('_', "-");
-            options.objective = CostKind::of_name(&asked).ok_or_else(|| {
+            let requested = name.to_ascii_lowercase().replace('_', "-");
+            options.objective = CostKind::of_name(&requested).ok_or_else(|| {
                 let known: Vec<CostKind> = CostKind::named().collect();
                 let known: Vec<&str> = known.iter().map(CostKind::name).collect();
                 RecordError::unknown("objective", &name, &known)

@@ -21,9 +21,9 @@ use crate::uncertainty::result::UncertaintyOptions;
 use crate::uncertainty::stuck_parameters::{EndedRun, StuckParameters};
 use base::{Number, RunContext};
 use dfo::{
-    Answer, AnyMethod, ByRef, CutoffUse, Evaluator, NothingFound, Objective, Outcome, ParameterKind, Polled,
-    ProblemClass, Progress, Query, Record, Report, Resume, RobustLoss, RunOptions, Search, Termination,
-    ToleranceMeasure, Tolerances, Trace, Wait, Want,
+    Answer, AnyMethod, ByRef, CutoffUse, Evaluator, NothingFound, Objective, Outcome, ParameterKind,
+    PollResult, ProblemClass, Progress, Query, Record, Report, Resume, RobustLoss, RunOptions, Search,
+    Termination, ToleranceMeasure, Tolerances, Trace, Wait, Want,
 };
 use ode::Stats;
 use std::cell::RefCell;
@@ -49,7 +49,7 @@ struct Counted<'a> {
 
 impl Counted<'_> {
     /// Returns the query for the simulations, which always requests residuals.
-    fn asked<'q>(&self, query: &Query<'q>) -> Query<'q> {
+    fn requested<'q>(&self, query: &Query<'q>) -> Query<'q> {
         let mut query = *query;
         query.want = Want::Residuals;
         if !self.cutoffs {
@@ -95,7 +95,7 @@ impl Objective for Counted<'_> {
         if !self.know(x, answer) {
             let _running = self.live.map(|live| live.running(query.id, x));
             let mut stats = Stats::default();
-            self.calibration.evaluate_counted(x, &self.asked(query), self.loss, answer, &mut stats);
+            self.calibration.evaluate_counted(x, &self.requested(query), self.loss, answer, &mut stats);
             self.count(stats);
         }
         self.finish(x, query.want, answer);
@@ -133,17 +133,17 @@ impl Evaluator for OnEngine<'_, '_> {
         }
         self.under_way.insert(query.id, (x.to_vec(), query.want));
         self.counted.live.iter().for_each(|live| live.add(query.id, x));
-        self.engine.submit(x, self.counted.asked(&query));
+        self.engine.submit(x, self.counted.requested(&query));
     }
 
-    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled {
+    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> PollResult {
         if let Some((id, known)) = self.known.pop_front() {
             *answer = known;
-            return Polled::Answered(id);
+            return PollResult::Answered(id);
         }
         let polled = self.engine.poll(wait, answer);
         self.counted.count(self.engine.take_stats());
-        if let Polled::Answered(id) = polled
+        if let PollResult::Answered(id) = polled
             && let Some((x, want)) = self.under_way.remove(&id)
         {
             self.counted.live.iter().for_each(|live| live.remove(id));
@@ -202,7 +202,7 @@ impl UsedLimits {
 pub(crate) struct Job<'a> {
     pub(crate) run: RunOptions<AnyMethod>,
     /// Requested options by name.
-    pub(crate) asked: Record,
+    pub(crate) requested: Record,
     pub(crate) start: Vec<f64>,
     pub(crate) held: Vec<usize>,
     pub(crate) cutoffs: bool,
@@ -236,7 +236,7 @@ impl<'a> Job<'a> {
     ) -> Result<Self, CalibrationError> {
         let is_part = within.is_some();
         let context = within.unwrap_or_else(|| options.context.within(options.run.limits.max_time));
-        let asked = options.record()?;
+        let requested = options.record()?;
         let mut run = options.run;
         options.objective.check(calibration.residual_layout(), !options.loss.is_linear())?;
         if options.noise == NoiseRule::Estimated
@@ -267,7 +267,7 @@ impl<'a> Job<'a> {
         }
         Ok(Self {
             run,
-            asked,
+            requested,
             start,
             is_whole: options.held.is_empty(),
             held: options.held,

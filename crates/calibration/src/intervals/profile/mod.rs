@@ -116,7 +116,7 @@ impl Calibration {
     ) -> Result<Profile, CalibrationError> {
         let held = self.held_in(fit);
         let n = fit.x.len();
-        let asked = profiled(fit, &held, options)?;
+        let requested = profiled(fit, &held, options)?;
         let n_free = n - held.len();
         let n_residuals = self.n_residuals();
         let without_noise = || {
@@ -174,7 +174,7 @@ impl Calibration {
             let of_all = if uncertainty.is_noise_known() { 1.0 } else { degrees_of_freedom / optimum.cost };
             Ok(if is_known { found } else { of_all })
         };
-        let origins = (asked.iter())
+        let origins = (requested.iter())
             .map(|&i| {
                 Ok(Origin {
                     index: i,
@@ -192,7 +192,7 @@ impl Calibration {
         n_simulations += sides.iter().map(|side| side.n_simulations).sum::<usize>();
         let is_interrupted = sides.iter().any(|side| side.end == ProfileEnd::Interrupted);
         let mut sides = sides.into_iter();
-        let mut parameters = Vec::with_capacity(asked.len());
+        let mut parameters = Vec::with_capacity(requested.len());
         while let (Some(lower), Some(upper)) = (sides.next(), sides.next()) {
             let i = lower.parameter;
             let mut points: Vec<ProfilePoint> = lower.points.into_iter().rev().collect();
@@ -263,29 +263,29 @@ fn profiled(fit: &Fit, held: &[usize], options: &ProfileOptions) -> Result<Vec<u
         ));
     }
     let (n, is_free) = (fit.x.len(), |i: &usize| !held.contains(i));
-    let asked = match &options.parameters {
+    let requested = match &options.parameters {
         None => (0..n).filter(is_free).collect(),
-        Some(asked) => asked.clone(),
+        Some(requested) => requested.clone(),
     };
-    if let Some(index) = asked.iter().find(|i| **i >= n) {
+    if let Some(index) = requested.iter().find(|i| **i >= n) {
         return setup(format!("parameter index {index} is not below the number of parameters, {n}"));
     }
-    if let Some(index) = asked.iter().find(|i| !is_free(i)) {
+    if let Some(index) = requested.iter().find(|i| !is_free(i)) {
         return setup(format!(
             "parameter '{}' has no profile because it was not fitted (fixed, held or not continuous)",
             fit.names[*index]
         ));
     }
-    if let Some(k) = (1..asked.len()).find(|k| asked[..*k].contains(&asked[*k])) {
-        return setup(format!("parameter '{}' is listed twice", fit.names[asked[k]]));
+    if let Some(k) = (1..requested.len()).find(|k| requested[..*k].contains(&requested[*k])) {
+        return setup(format!("parameter '{}' is listed twice", fit.names[requested[k]]));
     }
-    if asked.is_empty() {
+    if requested.is_empty() {
         return setup("a profile requires a free parameter, but none is free".to_owned());
     }
     if options.max_points == 0 {
         return setup("a profile requires at least one point on each side of the optimum, not 0".to_owned());
     }
-    Ok(asked)
+    Ok(requested)
 }
 
 /// Returns the sides of all parameters, alternating lower and upper. Reads the saved sides and computes the

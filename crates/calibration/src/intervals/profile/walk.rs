@@ -161,11 +161,11 @@ impl Walk<'_> {
             let target = (next.root * next.root + PER_STEP * threshold).sqrt();
             // Aim slightly beyond the threshold rather than just below it.
             let target = if target > 0.95 * goal { 1.02 * goal } else { target };
-            let asked = if rise > 0.0 { (target - next.root) * length / rise } else { f64::INFINITY };
+            let requested = if rise > 0.0 { (target - next.root) * length / rise } else { f64::INFINITY };
             let by = next.u[index] - last.u[index];
             let changes = last.u.iter().zip(&next.u);
             slopes = changes.map(|(a, b)| if by == 0.0 { 0.0 } else { (b - a) / by }).collect();
-            step = asked.clamp(GROWTH.0 * length, GROWTH.1 * length);
+            step = requested.clamp(GROWTH.0 * length, GROWTH.1 * length);
             last = next;
         }
     }

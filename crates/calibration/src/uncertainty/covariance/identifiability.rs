@@ -145,12 +145,13 @@ impl Uncertainty {
     /// Finds the combination of parameters that the data determine worst, from the singular values of the
     /// Jacobian with columns of unit length. The `triangle` is the triangle of the Jacobian.
     fn find_weakest(&mut self, triangle: &DMatrix<f64>, free: &[usize]) {
-        let told: Vec<usize> = (0..free.len()).filter(|k| !self.undetermined.contains(&free[*k])).collect();
-        let p = told.len();
+        let reported: Vec<usize> =
+            (0..free.len()).filter(|k| !self.undetermined.contains(&free[*k])).collect();
+        let p = reported.len();
         if p < 3 || triangle.nrows() < p {
             return;
         }
-        let mut columns = triangle.select_columns(&told);
+        let mut columns = triangle.select_columns(&reported);
         columns.column_iter_mut().for_each(|mut column| {
             column.try_normalize_mut(0.0);
         });
@@ -163,7 +164,7 @@ impl Uncertainty {
         let part = |a: usize, k: usize| (v_t[(k, a)] / values[k]).powi(2);
         let share = |a: usize| part(a, p - 1) / (0..p).map(|k| part(a, k)).sum::<f64>();
         let weakest: Vec<usize> =
-            (0..p).filter(|a| share(*a) > VARIANCE_SHARE).map(|a| free[told[a]]).collect();
+            (0..p).filter(|a| share(*a) > VARIANCE_SHARE).map(|a| free[reported[a]]).collect();
         if weakest.len() > 2 {
             self.weakest = weakest;
         }
@@ -231,9 +232,9 @@ impl Uncertainty {
 
     /// Returns findings about parameters that the data do not determine.
     pub(crate) fn undetermined_findings(&self) -> Vec<Finding> {
-        let mut said = Vec::new();
+        let mut reported = Vec::new();
         let mut find = |id, names: String, sentence: String, remedy: &str| {
-            said.push(Finding::warning(id, names, sentence, remedy).of(Origin::Search));
+            reported.push(Finding::warning(id, names, sentence, remedy).of(Origin::Search));
         };
         if self.degrees_of_freedom == 0.0 && self.held.len() < self.n() {
             let sentence =
@@ -289,7 +290,7 @@ impl Uncertainty {
                 remedy.unwrap_or("Fix all but one, or combine them"),
             ),
         }
-        said
+        reported
     }
 
     /// Returns findings about pairs with a high correlation. Each reports which combination of the pair is
@@ -432,9 +433,9 @@ impl Uncertainty {
 
     /// Returns all findings.
     pub(crate) fn all_findings(&self, f_tol: f64) -> Vec<Finding> {
-        let mut said = self.undetermined_findings();
+        let mut reported = self.undetermined_findings();
         let mut note = |id, subject: String, sentence: String, remedy: &str| {
-            said.push(Finding::note(id, subject, sentence, remedy));
+            reported.push(Finding::note(id, subject, sentence, remedy));
         };
         for i in self.known_from_prior() {
             let name = &self.names[i];
@@ -450,7 +451,7 @@ impl Uncertainty {
             let remedy = "If the standard errors are too large, fix one, or record an experiment that distinguishes them";
             note(FindingId::WeakCombination, names, sentence, remedy);
         }
-        said.extend(self.confounded_findings());
+        reported.extend(self.confounded_findings());
         for i in (0..self.n()).filter(|i| self.standard_errors[*i].is_finite() && self.size(*i) != 0.0) {
             let error = self.relative_error(i);
             let is_about_zero = self.is_about_zero.get(i).copied().unwrap_or_default();
@@ -461,7 +462,7 @@ impl Uncertainty {
                     "the standard error of {name} is {percent} % of its {of}. The data contain little information about it"
                 );
                 let remedy = "Fix it, add a prior, or record more data";
-                said.push(Finding::warning(FindingId::LargeStandardError, name, sentence, remedy));
+                reported.push(Finding::warning(FindingId::LargeStandardError, name, sentence, remedy));
             }
         }
         let n_free = self.n() - self.held.len();
@@ -483,25 +484,25 @@ impl Uncertainty {
                     "",
                 ),
             };
-            said.push(Finding::new(severity, FindingId::IdentifiableParameters, "", sentence, remedy));
+            reported.push(Finding::new(severity, FindingId::IdentifiableParameters, "", sentence, remedy));
         }
         if self.is_exact {
             let sentence = "the measurements are reproduced to the accuracy of the simulations. Standard errors are then meaningless";
-            said.push(Finding::note(FindingId::ExactMeasurements, "measurements", sentence, ""));
+            reported.push(Finding::note(FindingId::ExactMeasurements, "measurements", sentence, ""));
         }
         if !self.is_exact {
-            said.extend(ResidualCheck::all_findings(&self.residual_checks, self.has_loss, true));
-            said.extend(self.lack_of_fit.and_then(|test| test.finding()));
-            said.extend(self.correction());
+            reported.extend(ResidualCheck::all_findings(&self.residual_checks, self.has_loss, true));
+            reported.extend(self.lack_of_fit.and_then(|test| test.finding()));
+            reported.extend(self.correction());
         }
-        said.extend(self.accuracy_finding(f_tol));
-        said.extend(self.rough_cost());
-        said.extend(self.not_at_minimum());
-        said.extend(self.prior_conflicts.iter().map(|c| c.finding(&self.names[c.parameter])));
+        reported.extend(self.accuracy_finding(f_tol));
+        reported.extend(self.rough_cost());
+        reported.extend(self.not_at_minimum());
+        reported.extend(self.prior_conflicts.iter().map(|c| c.finding(&self.names[c.parameter])));
         // Findings about the parameters themselves explain the others.
-        let rest = said.iter_mut().filter(|finding| finding.origin == Origin::Problem);
+        let rest = reported.iter_mut().filter(|finding| finding.origin == Origin::Problem);
         rest.for_each(|finding| finding.origin = Origin::Residuals);
-        said
+        reported
     }
 }
 

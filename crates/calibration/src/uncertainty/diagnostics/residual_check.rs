@@ -109,13 +109,13 @@ impl ResidualCheck {
     }
 
     fn findings(&self, name: &str, has_loss: bool, has_errors: bool) -> Vec<Finding> {
-        let mut said = Vec::new();
+        let mut reported = Vec::new();
         if self.is_rounding {
-            return said;
+            return reported;
         }
         let subject = format!("residuals of {name}");
         let mut warn = |id, sentence: String, remedy: &str| {
-            said.push(Finding::warning(id, subject.clone(), format!("the {subject} {sentence}"), remedy));
+            reported.push(Finding::warning(id, subject.clone(), format!("the {subject} {sentence}"), remedy));
         };
         if self.is_autocorrelated() {
             let corrected = match has_errors {
@@ -166,9 +166,9 @@ impl ResidualCheck {
                 "{} of {} {subject} ({share:.1} %) lie beyond {OUTLIER} robust standard deviations{what}",
                 self.n_outliers, self.n,
             );
-            said.push(Finding::new(severity, FindingId::Outliers, subject, sentence, remedy));
+            reported.push(Finding::new(severity, FindingId::Outliers, subject, sentence, remedy));
         }
-        said
+        reported
     }
 
     /// True if most outliers are next to another one, which is rare for independent residuals.

@@ -61,14 +61,14 @@ fn placeholders_are_reported() {
 
 #[test]
 fn column_used_as_input_and_output_is_reported() {
-    let said = "the column is also compared with the output 'qt.x1'";
+    let reported = "the column is also compared with the output 'qt.x1'";
     let tank = |input: &str| {
         let driven = Experiment::new(example("quad_tank", 1.0)).input("u1", input).input("u2", "u2");
         let builder = Calibration::builder(open("quad_tank")).experiment(driven.output("qt.x1", "x1"));
         builder.parameter(Parameter::new("qt.a1", 3e-6).bounds(2e-6, 4e-6)).build().unwrap()
     };
-    assert!(warns(&tank("x1").check().findings, said), "{}", tank("x1").check());
-    assert!(!warns(&tank("u1").check().findings, said));
+    assert!(warns(&tank("x1").check().findings, reported), "{}", tank("x1").check());
+    assert!(!warns(&tank("u1").check().findings, reported));
 }
 
 /// The recording of the quadruple tank with changed columns and, optionally, changed names.
@@ -92,16 +92,16 @@ fn long_gaps_of_an_input_are_reported() {
             name.to_owned()
         })
     };
-    let said = "input 'u1' (column 'u1'): the input has no value from";
+    let reported = "input 'u1' (column 'u1'): the input has no value from";
     for (n, is_named) in [(1, false), (2, false), (3, true), (12, true)] {
         let calibration = without(n);
         let check = calibration
             .check_with(&CheckOptions { simulate: false, ..CheckOptions::default() }, &RunContext::new());
-        assert_eq!(warns(&check.unwrap().findings, said), is_named, "{n}");
+        assert_eq!(warns(&check.unwrap().findings, reported), is_named, "{n}");
     }
     let calibration = without(12);
     let preflight = calibration.preflight(&PreflightOptions::default(), &RunContext::new()).unwrap();
-    assert!(warns(&preflight.findings, said), "{preflight}");
+    assert!(warns(&preflight.findings, reported), "{preflight}");
     let fit = calibration.fit(FitOptions::default()).unwrap();
     assert!(warns(&fit.findings(), "The simulation uses a straight line there"), "{fit}");
 }

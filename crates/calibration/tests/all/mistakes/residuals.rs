@@ -73,20 +73,20 @@ fn ball(output: &str, size: f64, start: f64) -> Fit {
 
 #[test]
 fn rough_cost_is_reported_for_local_search() {
-    let said = "the cost is not smooth";
+    let reported = "the cost is not smooth";
     // The height is smooth, but the velocity jumps at impacts. A local search ends where a jump reaches a
     // row.
     for start in [0.6, 0.699, 0.8] {
         let fit = ball("h", 1e-2, start);
-        assert!((fit.x[0] - 0.7).abs() < 1e-2 && !warns(&fit.findings(), said), "{fit}");
+        assert!((fit.x[0] - 0.7).abs() < 1e-2 && !warns(&fit.findings(), reported), "{fit}");
     }
     let near = ball("v", 5e-2, 0.7);
-    assert!((near.x[0] - 0.7).abs() < 1e-3 && !warns(&near.findings(), said), "{near}");
+    assert!((near.x[0] - 0.7).abs() < 1e-3 && !warns(&near.findings(), reported), "{near}");
     let far = ball("v", 5e-2, 0.6);
     // The result is at least twenty times farther from the true value than after a start at the true value.
     assert!((far.x[0] - 0.7).abs() > 0.02 && !far.is_usable(), "{far}");
     let errors: Vec<_> = far.findings().into_iter().filter(|f| f.severity == Severity::Error).collect();
-    assert!(errors.len() == 1 && errors[0].sentence.starts_with(said), "{far}");
+    assert!(errors.len() == 1 && errors[0].sentence.starts_with(reported), "{far}");
     // Unreliable standard errors are not printed.
     let printed = far.to_string();
     assert!(printed.contains("Standard errors: unreliable."), "{far}");
@@ -105,12 +105,12 @@ fn outliers_are_reported_and_a_used_loss_is_not_proposed() {
     };
     (10..35).step_by(5).for_each(|i| x[i] += 0.2);
     let calibration = calibration(vec![recording(&t, x)], k(), SimulationSettings::default());
-    let said = "or use a robust loss";
+    let reported = "or use a robust loss";
     let plain = calibration.fit(FitOptions::default()).unwrap();
-    assert!(warns(&plain.findings(), said), "{plain}");
+    assert!(warns(&plain.findings(), reported), "{plain}");
     // A loss does not help if the model does not follow a part of the recording. It does not help with a
     // wrong model either, such as one that settles at 0.
-    assert!(!warns(&together.findings(), said) && !together.findings().is_empty(), "{together}");
+    assert!(!warns(&together.findings(), reported) && !together.findings().is_empty(), "{together}");
     let offset = decay(&t, 2.0, 1e-3)
         .iter()
         .zip(&t)
@@ -121,7 +121,7 @@ fn outliers_are_reported_and_a_used_loss_is_not_proposed() {
     let loss = RobustLoss::new(Loss::SoftL1, 2e-3).unwrap();
     let robust = calibration.fit(FitOptions { loss, ..FitOptions::default() }).unwrap();
     assert!(
-        !warns(&robust.findings(), said)
+        !warns(&robust.findings(), reported)
             && robust.to_string().contains("The robust loss reduces the influence"),
         "{robust}"
     );
@@ -150,12 +150,15 @@ fn residuals_are_checked_with_every_cost_and_without_covariance() {
                 ..FitOptions::default()
             };
             let fit = fitted_as(recording(&t, with_offset.clone()), options());
-            let said = warnings(&fit.findings());
+            let reported = warnings(&fit.findings());
             let text = "the residuals of x are autocorrelated";
-            let times_said = said.iter().filter(|said| said.contains(text)).count();
+            let times_said = reported.iter().filter(|reported| reported.contains(text)).count();
             assert!(fit.report.is_success() && times_said == 1, "{name}: {fit}");
             let has_errors = fit.uncertainty.is_some();
-            assert_eq!(said.iter().any(|said| said.contains("Standard errors are corrected")), has_errors);
+            assert_eq!(
+                reported.iter().any(|reported| reported.contains("Standard errors are corrected")),
+                has_errors
+            );
             let fit = fitted_as(sound(1e-3), options());
             assert!(warnings(&fit.findings()).is_empty(), "{name}: {fit}");
         }
@@ -180,7 +183,7 @@ fn residuals_are_compared_with_noise_declared_by_weights() {
         fit.findings()
             .iter()
             .map(ToString::to_string)
-            .filter(|said| said.contains("F016"))
+            .filter(|reported| reported.contains("F016"))
             .collect::<Vec<_>>()
     };
     let plain = |weight: f64| findings(weight.into(), &|_| 0.0);
@@ -190,14 +193,14 @@ fn residuals_are_compared_with_noise_declared_by_weights() {
     // Weights of 0 and 1 do not declare noise.
     let chosen: Vec<f64> = (0..201).map(|k| f64::from(k % 2)).collect();
     assert!(findings(Weight::Rows(chosen.into()), &|_| 0.0).is_empty());
-    for (factor, said) in [(3.0, "larger than stated"), (0.2, "smaller than stated"), (100.0, "larger")] {
+    for (factor, reported) in [(3.0, "larger than stated"), (0.2, "smaller than stated"), (100.0, "larger")] {
         let found = plain(factor / sigma);
         assert!(found.len() == 1 && found[0].starts_with("note: noise of x: "), "{found:?}");
-        assert!(found[0].contains(said), "{found:?}");
+        assert!(found[0].contains(reported), "{found:?}");
     }
     // The model omits a fast effect that no autocorrelation shows.
-    let said = findings((1.0 / sigma).into(), &|t| 0.03 * (80.0 * t).sin());
-    assert!(said.len() == 1 && said[0].contains("The model lacks an effect"), "{said:?}");
+    let reported = findings((1.0 / sigma).into(), &|t| 0.03 * (80.0 * t).sin());
+    assert!(reported.len() == 1 && reported[0].contains("The model lacks an effect"), "{reported:?}");
 }
 
 #[test]
@@ -212,11 +215,11 @@ fn autocorrelation_correction_is_reported() {
     let fit = fitted(recording(&t, x), k());
     let uncertainty = fit.uncertainty.as_ref().unwrap();
     let factor = uncertainty.standard_errors[0] / uncertainty.uncorrected_errors().unwrap()[0];
-    let said = fit.findings().iter().find(|f| f.subject == "standard errors").unwrap().to_string();
-    let told = said.strip_prefix("note: standard errors: the standard errors are ");
-    let told = told.or_else(|| said.strip_prefix("note: the standard errors are ")).unwrap();
-    let told: f64 = told.split(' ').next().unwrap().parse().unwrap();
-    assert!(factor > 1.5 && (told / factor - 1.0).abs() < 0.01, "{factor}: {said}");
+    let finding = fit.findings().iter().find(|f| f.subject == "standard errors").unwrap().to_string();
+    let reported = finding.strip_prefix("note: standard errors: the standard errors are ");
+    let reported = reported.or_else(|| finding.strip_prefix("note: the standard errors are ")).unwrap();
+    let reported: f64 = reported.split(' ').next().unwrap().parse().unwrap();
+    assert!(factor > 1.5 && (reported / factor - 1.0).abs() < 0.01, "{factor}: {reported}");
     let sound = fitted(sound(1e-3), k());
     assert!(sound.findings().iter().all(|f| f.subject != "standard errors"), "{sound}");
 }

@@ -36,9 +36,9 @@ fn large_fixed_step_is_compared_with_half_the_step() {
     assert!(!fit.to_string().contains("F026"), "{fit}");
     let mae =
         || FitOptions { objective: calibration::CostKind::of_name("mae").unwrap(), ..FitOptions::default() };
-    let said = "half the step of the solver 'euler' changes 'x'";
+    let reported = "half the step of the solver 'euler' changes 'x'";
     for fit in [coarse.fit(mae()).unwrap(), coarse.fit_stages(&[Stage::new(["k"])], mae()).unwrap()] {
-        assert!(fit.uncertainty.is_none() && warns(&fit.findings(), said), "{fit}");
+        assert!(fit.uncertainty.is_none() && warns(&fit.findings(), reported), "{fit}");
     }
     let fine = calibration(vec![sound(1e-3)], k(), settings(Method::Rk4, 0.01));
     assert!(
@@ -57,21 +57,21 @@ fn contradicted_priors_are_reported() {
         let calibration = calibration(vec![experiment], parameter, SimulationSettings::default());
         calibration.fit(FitOptions { noise: rule, ..FitOptions::default() }).unwrap()
     };
-    let said = "contradicts the measurements, which alone give about";
+    let reported = "contradicts the measurements, which alone give about";
     for (sd, wins) in [(1e-4, 3.0), (0.1, 2.0)] {
         let fit = with_prior(sd, 3.0, 1.0, NoiseRule::Auto);
-        assert!((fit.x[0] - wins).abs() < 0.1 && warns(&fit.findings(), said), "{sd}: {fit}");
+        assert!((fit.x[0] - wins).abs() < 0.1 && warns(&fit.findings(), reported), "{sd}: {fit}");
     }
     // The standard deviation of the noise is 0.0058.
     let fit = with_prior(0.5, 2.0, 1.0, NoiseRule::Auto);
     assert!(warnings(&fit.findings()).is_empty(), "{fit}");
     let fit = with_prior(0.5, 2.0, 170.0, NoiseRule::Auto);
     assert!(warnings(&fit.findings()).is_empty(), "{fit}");
-    for (weight, said) in
+    for (weight, reported) in
         [(0.0058, "Check that the weights are 1/sigma and not sigma"), (1e4, "priors count too little")]
     {
         let fit = with_prior(0.5, 2.0, weight, NoiseRule::Auto);
-        assert!(warns(&fit.findings(), said), "{weight}: {fit}");
+        assert!(warns(&fit.findings(), reported), "{weight}: {fit}");
     }
 }
 

@@ -158,8 +158,8 @@ impl Communication {
     }
 
     /// Returns a message if the inputs add more communication points than the requested step size.
-    pub(crate) fn check_inputs(&self, grid: &Grid, asked: Option<f64>, points: usize) -> Option<String> {
-        let step = asked.filter(|_| self.variable && self.internal.is_none())?;
+    pub(crate) fn check_inputs(&self, grid: &Grid, requested: Option<f64>, points: usize) -> Option<String> {
+        let step = requested.filter(|_| self.variable && self.internal.is_none())?;
         let regular = ((grid.end - grid.start) / step).ceil();
         (points as f64 > regular).then(|| {
             format!(

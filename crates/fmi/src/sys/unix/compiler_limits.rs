@@ -83,11 +83,11 @@ mod tests {
         command.args(["-c", "ulimit -v; ulimit -f; ulimit -t"]);
         limit_compiler(&mut command, Duration::from_secs(10));
         let output = command.output().unwrap();
-        let said = String::from_utf8(output.stdout).unwrap();
+        let reported = String::from_utf8(output.stdout).unwrap();
         // In KiB, in blocks of 512 bytes (dash) or 1 KiB (bash), in s.
-        let limits: Vec<u64> = said.lines().map(|line| line.parse().unwrap()).collect();
-        assert_eq!((limits[0], limits[2]), (MEMORY >> 10, 12), "{said}");
-        assert!([FILE_SIZE >> 9, FILE_SIZE >> 10].contains(&limits[1]), "{said}");
+        let limits: Vec<u64> = reported.lines().map(|line| line.parse().unwrap()).collect();
+        assert_eq!((limits[0], limits[2]), (MEMORY >> 10, 12), "{reported}");
+        assert!([FILE_SIZE >> 9, FILE_SIZE >> 10].contains(&limits[1]), "{reported}");
     }
 
     #[test]

@@ -118,10 +118,10 @@ fn candidates<'v>(column: &str, variables: &'v [Variable]) -> Vec<&'v Variable> 
     };
     let all = || variables.iter().filter(is_result).filter(|variable| variable.kind.is_number());
     let is_outside = |variable: &&Variable| variable.causality != Causality::Local;
-    let asked = folded(column);
+    let requested = folded(column);
     let kinds: [&dyn Fn(&str) -> bool; 3] =
-        [&|name| name == column, &|name| folded(name) == asked, &|name| {
-            name.rsplit_once('.').is_some_and(|(_, last)| folded(last) == asked)
+        [&|name| name == column, &|name| folded(name) == requested, &|name| {
+            name.rsplit_once('.').is_some_and(|(_, last)| folded(last) == requested)
         }];
     for is_match in kinds {
         let found: Vec<&Variable> = all().filter(|variable| is_match(&variable.name)).collect();

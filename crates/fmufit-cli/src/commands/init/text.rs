@@ -173,8 +173,8 @@ fn left_out(candidates: &[Candidate]) -> Vec<String> {
 fn parameter(candidate: &Candidate) -> Vec<String> {
     let Candidate { name, start, lower, upper, unit, description, reason: _ } = candidate;
     let unit = unit.as_ref().map(|unit| format!("in {}", one_line(unit)));
-    let said: Vec<String> = description.as_deref().map(one_line).into_iter().chain(unit).collect();
-    let comment = if said.is_empty() { String::new() } else { format!("  # {}", said.join("; ")) };
+    let reported: Vec<String> = description.as_deref().map(one_line).into_iter().chain(unit).collect();
+    let comment = if reported.is_empty() { String::new() } else { format!("  # {}", reported.join("; ")) };
     let [start, lower, upper] = [*start, *lower, *upper].map(Number);
     vec![
         format!("[[parameters]]{comment}"),

@@ -108,8 +108,8 @@ impl Starter {
         let mut orders = self.orders();
         orders.n_started += 1;
         let number = orders.n_started;
-        let asked = Frame::of(&(number, start)).map_err(no_worker)?;
-        match send(&orders.socket, Order::Start, &asked, &descriptors) {
+        let requested = Frame::of(&(number, start)).map_err(no_worker)?;
+        match send(&orders.socket, Order::Start, &requested, &descriptors) {
             Ok(()) => Ok(number),
             Err(error) => {
                 drop(orders);

@@ -47,15 +47,15 @@ fn take_order(
     load: &mut dyn FnMut(&Frame) -> io::Result<bool>,
     workers: &mut Workers,
 ) -> io::Result<Option<io::Result<Assigned<UnixStream>>>> {
-    let (mut asked, mut answer, mut buffer) = (Frame::default(), Frame::default(), Vec::new());
+    let (mut requested, mut answer, mut buffer) = (Frame::default(), Frame::default(), Vec::new());
     let (order, descriptors) = receive(control)?;
-    asked.read(&mut &*control, &mut buffer, FrameSize::ANY, &mut || Ok(()))?;
+    requested.read(&mut &*control, &mut buffer, FrameSize::ANY, &mut || Ok(()))?;
     if order == Order::Load as u8 {
-        workers.has_loaded = load(&asked)?;
+        workers.has_loaded = load(&requested)?;
         return Ok(None);
     }
     if order == Order::Start as u8 {
-        let (number, start): (u32, Start) = asked.head()?;
+        let (number, start): (u32, Start) = requested.head()?;
         match fork() {
             Ok(None) => {
                 let folder = worker_folder(&workers.folder, number);
@@ -72,7 +72,7 @@ fn take_order(
         }
         return Ok(None);
     }
-    answer.set_head(&workers.end(asked.head()?))?;
+    answer.set_head(&workers.end(requested.head()?))?;
     answer.write(0, &mut &*control, &mut buffer)?;
     Ok(None)
 }
