@@ -257,12 +257,12 @@ pub enum Error {
     #[error("tell: no batch is waiting for an answer; call ask first")]
     TellWithoutAsk,
     /// `tell` was called with more outcomes than the batch has points.
-    #[error("tell: got {reported} outcomes for a batch of {requested} points")]
+    #[error("tell: got {told} outcomes for a batch of {asked} points")]
     TooManyOutcomes {
         /// Points in the batch.
-        requested: usize,
+        asked: usize,
         /// Outcomes given.
-        reported: usize,
+        told: usize,
     },
     /// The number of residuals differs between points.
     #[error("the objective returned {got} residuals at x = {x:?}, but {expected} at earlier points")]

@@ -142,7 +142,7 @@ def test_fit_with_lost_points_is_not_converged():
     with LosingAll() as executor, pytest.raises(pydfo.FmuError, match="lost the same point 3 times .*the scheduler is gone") as caught:
         decay().fit("de", workers=executor, rng=1, max_evaluations=200)
     fit = caught.value.partial_result
-    assert not fit.success and fit.nfail == 0 and 3 < fit.nfev < 40 and np.isfinite(fit.cost)
+    assert not fit.success and fit.nfail == 0 and 1 <= fit.nfev < 40 and np.isfinite(fit.cost)
 
 
 def test_fit_reports_lost_results():
@@ -207,9 +207,10 @@ def decay(**more):
 
 @pytest.mark.parametrize("method", ["least-squares", "nelder-mead", "de"])
 def test_fit_on_executor_equals_local_fit(method):
-    alone = decay().fit(method, workers=1, rng=1, max_evaluations=60)
+    plan = {"batch": "serial"} if method == "least-squares" else {}
+    alone = decay().fit(method, workers=1, rng=1, max_evaluations=60, **plan)
     with concurrent.futures.ProcessPoolExecutor(2) as executor:
-        fit = decay().fit(method, workers=executor, rng=1, max_evaluations=60)
+        fit = decay().fit(method, workers=executor, rng=1, max_evaluations=60, **plan)
     assert fit.x.tobytes() == alone.x.tobytes() and fit.stderr.tobytes() == alone.stderr.tobytes()
     assert (fit.cost, fit.nfev, fit.message) == (alone.cost, alone.nfev, alone.message)
     assert fit.stats.right_hand_sides > alone.stats.right_hand_sides / 2
@@ -225,7 +226,7 @@ def test_robust_losses_stages_and_noise_work_on_executor():
 
     with concurrent.futures.ThreadPoolExecutor(2) as executor:
         for asked in ({"noise": "estimated"}, {"loss": "huber", "f_scale": 0.01, "noise": "stated"}, {"stages": [["k"], ["k"]]}):
-            one, other = calibration().fit(workers=1, **asked), calibration().fit(workers=executor, **asked)
+            one, other = (calibration().fit(workers=workers, batch="serial", **asked) for workers in (1, executor))
             assert (one.x.tobytes(), one.cost, one.nfev) == (other.x.tobytes(), other.cost, other.nfev), asked
 
 

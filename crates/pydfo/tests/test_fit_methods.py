@@ -175,7 +175,7 @@ def test_least_squares_needs_few_simulations_for_exhaust_pipe(which):
 def test_robust_loss_limits_outliers(dahlquist, method, loss, tmp_path):
     calibration = decay(dahlquist, {"time": TIME, "x": TRUE + [0, 0, 0.5, 0, 0]}, parameters=BOXED)
     plain = calibration.fit(method)
-    run = {"method": method, "loss": loss, "f_scale": 0.01, "workers": 1, "x_tol": 1e-6, "f_tol": 1e-8}
+    run = {"method": method, "loss": loss, "f_scale": 0.01, "workers": 1, "x_tol": 1e-6, "f_tol": 1e-8, "batch": "serial"}
     fit = calibration.fit(**run, checkpoint=tmp_path / "fit")
     assert abs(fit.x[0] - 2) < 0.5 * abs(plain.x[0] - 2)
 

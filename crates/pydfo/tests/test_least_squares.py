@@ -126,16 +126,16 @@ def test_tuple_of_two_pairs_is_resolved_by_the_start():
 @pytest.mark.parametrize("workers", [2, 5, "executor", "map", "vectorized"])
 @pytest.mark.parametrize("loss", ["linear", "cauchy"])
 def test_path_is_identical_for_all_evaluators(workers, loss):
-    alone = least_squares(decay, START, loss=loss, f_scale=0.1)
+    alone = least_squares(decay, START, loss=loss, f_scale=0.1, batch="serial")
     if workers == "executor":
         with concurrent.futures.ThreadPoolExecutor(3) as pool:
-            other = least_squares(decay, START, loss=loss, f_scale=0.1, workers=pool)
+            other = least_squares(decay, START, loss=loss, f_scale=0.1, workers=pool, batch="serial")
     elif workers == "vectorized":
         other = least_squares(columns, START, loss=loss, f_scale=0.1, vectorized=True)
         np.testing.assert_allclose(other.x, alone.x, rtol=1e-6)
         return
     else:
-        other = least_squares(decay, START, loss=loss, f_scale=0.1, workers=map if workers == "map" else workers)
+        other = least_squares(decay, START, loss=loss, f_scale=0.1, workers=map if workers == "map" else workers, batch="serial")
     assert timeless(other) == timeless(alone)
 
 

@@ -59,7 +59,7 @@ def test_functions_are_minimised():
     residuals = problem.fit(objective=ratios)
     assert residuals.method == "least-squares" and residuals.uncertainty is None
     assert residuals.cost == pytest.approx(np.sum(problem.residuals(residuals.x) ** 2 / (0.1 + np.abs(problem.measurements()["x"][1])) ** 2))
-    assert np.array_equal(problem.fit(objective=ratios, workers=1).x, residuals.x)
+    assert np.array_equal(problem.fit(objective=ratios, workers=1, batch=residuals.batch_plan).x, residuals.x)
     assert pickle.loads(pickle.dumps(problem)).cost() == problem.cost()
     nelder_mead = problem.fit("nelder-mead", objective=ratios)
     assert nelder_mead.x == pytest.approx(residuals.x, rel=1e-3)

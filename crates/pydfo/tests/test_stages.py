@@ -81,17 +81,17 @@ def test_stages_have_separate_methods_windows_and_limits():
 def test_limits_and_callbacks_cover_all_stages(tmp_path):
     calibration = tanks()
     stages = [["qt.a1", "qt.a2"], ["qt.a3", "qt.a4"]]
-    whole = calibration.fit(stages=stages, workers=1)
+    whole = calibration.fit(stages=stages, batch="serial", workers=1)
     n = whole.stages[0].nfev
-    assert np.array_equal(calibration.fit(stages=stages, workers=3).trace.x, whole.trace.x)
-    some = calibration.fit(stages=stages, max_evaluations=n)
+    assert np.array_equal(calibration.fit(stages=stages, batch="serial", workers=3).trace.x, whole.trace.x)
+    some = calibration.fit(stages=stages, batch="serial", max_evaluations=n)
     assert (some.nfev, len(some.stages), some.termination) == (n, 1, "max-evaluations")
     seen = []
-    calibration.fit(stages=stages, callback=lambda progress: seen.append(progress.nfev))
+    calibration.fit(stages=stages, batch="serial", callback=lambda progress: seen.append(progress.nfev))
     assert seen == sorted(seen) and n < seen[-1] <= whole.nfev
     file = tmp_path / "fit.ckpt"
     for limit in (n - 1, n + 1, None):
-        again = calibration.fit(stages=stages, max_evaluations=limit, checkpoint=file)
+        again = calibration.fit(stages=stages, batch="serial", max_evaluations=limit, checkpoint=file)
     assert np.array_equal(again.x, whole.x) and again.nfev == whole.nfev
     assert sorted(path.name for path in tmp_path.iterdir()) == ["fit.ckpt.stage1", "fit.ckpt.stage2"]
     with pytest.raises(ValueError, match=r"'x' in stage 2") as caught:
@@ -102,7 +102,7 @@ def test_limits_and_callbacks_cover_all_stages(tmp_path):
             if progress.nfev > n + 1:
                 raise ValueError("'x' in stage 2")
 
-        calibration.fit(stages=stages, callback=callback)
+        calibration.fit(stages=stages, batch="serial", callback=callback)
     assert len(caught.value.partial_result.stages) == 2
 
 

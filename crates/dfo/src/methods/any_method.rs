@@ -276,7 +276,7 @@ impl AnyMethod {
 }
 
 /// Returns the first method of the list that satisfies the predicate, or the error for an unknown method.
-fn listed(requested: &str, is_it: impl Fn(&Listed) -> bool) -> Result<AnyMethod, Error> {
+fn listed(asked: &str, is_it: impl Fn(&Listed) -> bool) -> Result<AnyMethod, Error> {
     if let Some(method) = LIST.iter().find(|method| is_it(method)) {
         return Ok((method.options)());
     }
@@ -285,23 +285,23 @@ fn listed(requested: &str, is_it: impl Fn(&Listed) -> bool) -> Result<AnyMethod,
         None => (*name).to_owned(),
     });
     let known: Vec<String> = known.chain(["auto".to_owned()]).collect();
-    let hint = meant(requested).map_or_else(String::new, |name| format!("; did you mean '{name}'?"));
-    Err(Error::UnknownMethod { name: requested.to_owned(), hint, known: known.join(", ") })
+    let hint = meant(asked).map_or_else(String::new, |name| format!("; did you mean '{name}'?"));
+    Err(Error::UnknownMethod { name: asked.to_owned(), hint, known: known.join(", ") })
 }
 
 /// Returns the method most likely meant by an unknown name. This method solves the same problems as the named
 /// one, or its name differs by a few letters.
-fn meant(requested: &str) -> Option<&'static str> {
-    let requested = folded(requested);
-    if let Some(method) = LIST.iter().find(|m| m.similar.iter().any(|name| folded(name) == requested)) {
+fn meant(asked: &str) -> Option<&'static str> {
+    let asked = folded(asked);
+    if let Some(method) = LIST.iter().find(|m| m.similar.iter().any(|name| folded(name) == asked)) {
         return Some(method.name);
     }
     let names = LIST.iter().flat_map(|m| {
         m.also.iter().chain(m.similar).chain([&m.name]).map(move |name| (m.name, folded(name)))
     });
-    let near = names.map(|(name, known)| (edits(&requested, &known), known.len(), name)).min()?;
+    let near = names.map(|(name, known)| (edits(&asked, &known), known.len(), name)).min()?;
     // A third of the letters may differ.
-    (3 * near.0 <= near.1.max(requested.chars().count())).then_some(near.2)
+    (3 * near.0 <= near.1.max(asked.chars().count())).then_some(near.2)
 }
 
 impl Default for AnyMethod {
@@ -317,13 +317,11 @@ impl FromStr for AnyMethod {
     /// Parses the name of a method: short, full, or as in SciPy. Case and separators between words are
     /// ignored.
     fn from_str(name: &str) -> Result<Self, Error> {
-        let requested = folded(name);
-        if requested == "auto" {
+        let asked = folded(name);
+        if asked == "auto" {
             return Ok(Self::Auto(Auto::default()));
         }
-        listed(name, |method| {
-            method.also.iter().chain([&method.name]).any(|known| folded(known) == requested)
-        })
+        listed(name, |method| method.also.iter().chain([&method.name]).any(|known| folded(known) == asked))
     }
 }
 

@@ -137,7 +137,7 @@ impl MethodOptions for Barrier {
             mu: self.mu,
             options: self.clone(),
             setup,
-            requested: Batch::new(),
+            asked: Batch::new(),
             cutoffs: Vec::new(),
             translated: Answers::default(),
             working: vec![0.0; space.n_free()],
@@ -214,7 +214,7 @@ pub struct BarrierState {
     mu: Option<f64>,
     inner: NelderMeadState,
     /// The last requested batch, with the cutoffs of the inner method.
-    requested: Batch,
+    asked: Batch,
     /// The cutoffs passed to the objective.
     cutoffs: Vec<f64>,
     #[serde(skip)]
@@ -247,7 +247,7 @@ impl BarrierState {
             && space.bounds().contains(&self.stage_start)
             && self.schedule.len() <= MAX_STAGES
             && self.schedule.iter().all(|stage| is_point(&stage.x))
-            && self.requested.is_sound(space.n())
+            && self.asked.is_sound(space.n())
             && self.best.is_sound(space.n())
             && {
                 let inner = inner_setup(&self.setup, &self.stage_start, self.schedule.len());
@@ -298,7 +298,7 @@ impl BarrierState {
             self.f_0 = cost.abs();
         }
         if self.mu.is_none() {
-            let x = self.requested.point(k).to_vec();
+            let x = self.asked.point(k).to_vec();
             let barrier = self.barrier(&x);
             let mu = 0.1 * cost.abs() / barrier;
             self.mu = Some(if mu > 0.0 && mu.is_finite() { mu } else { 0.1 });
@@ -367,7 +367,7 @@ impl Method for BarrierState {
             return batch.start(self.setup.space.n(), self.n_batches, self.n_points);
         }
         self.inner.ask(batch);
-        self.requested.clone_from(batch);
+        self.asked.clone_from(batch);
         batch.renumber(self.n_batches + batch.index(), self.n_points);
         self.translate_cutoffs(batch, 0);
         self.cutoffs.clear();
@@ -385,16 +385,16 @@ impl Method for BarrierState {
 
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
         let outcomes = answers.outcomes();
-        let requested = self.requested.len();
-        if requested == 0 && self.inner.status() != Status::Running {
+        let asked = self.asked.len();
+        if asked == 0 && self.inner.status() != Status::Running {
             return Err(Error::TellWithoutAsk);
         }
-        if outcomes.len() > requested {
-            return Err(Error::TooManyOutcomes { requested, reported: outcomes.len() });
+        if outcomes.len() > asked {
+            return Err(Error::TooManyOutcomes { asked, told: outcomes.len() });
         }
         self.settle_mu(outcomes);
         let mu = self.mu.unwrap_or(0.0);
-        let points = std::mem::take(&mut self.requested);
+        let points = std::mem::take(&mut self.asked);
         self.translated.clear();
         for (k, outcome) in outcomes.iter().enumerate() {
             let translated = match outcome.value() {
@@ -404,9 +404,9 @@ impl Method for BarrierState {
             };
             self.translated.push(translated, &[]);
         }
-        let reported = self.inner.tell(&self.translated);
-        self.requested = points;
-        reported?;
+        let told = self.inner.tell(&self.translated);
+        self.asked = points;
+        told?;
         for (k, outcome) in outcomes.iter().enumerate() {
             self.n_stage += usize::from(outcome.is_known());
             let Some(v) = outcome.value() else { continue };
@@ -415,10 +415,10 @@ impl Method for BarrierState {
             if self.cutoffs.get(k).is_some_and(|c| v > *c) {
                 continue;
             }
-            self.best.offer(self.requested.point(k), v);
+            self.best.offer(self.asked.point(k), v);
         }
         // No points are pending until the next `ask`.
-        self.requested.start(self.setup.space.n(), 0, 0);
+        self.asked.start(self.setup.space.n(), 0, 0);
         match self.inner.status() {
             Status::Running | Status::NoStart => Ok(()),
             Status::Ended(Termination::AllFixed) => {

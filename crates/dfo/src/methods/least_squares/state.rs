@@ -197,7 +197,7 @@ pub struct LeastSquaresState {
     pub(super) round: Vec<Candidate>,
     /// Model on the set; rebuilt if missing.
     pub(super) model: Option<Interpolation>,
-    requested: Vec<usize>,
+    asked: Vec<usize>,
     /// The last points requested by the simplex search.
     pub(super) simplex_points: Vec<Vec<f64>>,
     waiting: bool,
@@ -249,7 +249,7 @@ impl LeastSquaresState {
             phase: Phase::Starting,
             round: Vec::new(),
             model: None,
-            requested: Vec::new(),
+            asked: Vec::new(),
             simplex_points: Vec::new(),
             waiting: false,
             n_batches: 0,
@@ -321,7 +321,7 @@ impl LeastSquaresState {
             && self.set.iter().chain(&self.improving).all(|k| *k < len)
             && self.set.len() <= n + 1
             && self.model.as_ref().is_none_or(|model| model.is_sound(n, m) && model.base < self.set.len())
-            && self.requested.iter().all(|k| *k < self.round.len())
+            && self.asked.iter().all(|k| *k < self.round.len())
             && self.halt.as_ref().is_none_or(|halt| halt.z.len() == n)
             && (self.set.is_empty() == matches!(self.phase, Phase::Starting | Phase::NoStart))
             && match &self.phase {
@@ -572,7 +572,7 @@ impl Method for LeastSquaresState {
     fn ask_unless(&mut self, context: &RunContext<'_>, batch: &mut Batch) {
         batch.start(self.setup.space.n(), self.n_batches, self.n_points);
         batch.set_want(Want::Residuals);
-        self.requested.clear();
+        self.asked.clear();
         if self.round.is_empty() {
             let filled = self.ask_round(context).and_then(|()| self.descend(context));
             if filled.is_err() {
@@ -600,9 +600,9 @@ impl Method for LeastSquaresState {
         let pending = self.round.iter().enumerate().filter(|(_, c)| c.known == PointStatus::Pending);
         for (k, candidate) in pending.take(at_once) {
             batch.push(&candidate.x, f64::INFINITY);
-            self.requested.push(k);
+            self.asked.push(k);
         }
-        self.waiting = !self.requested.is_empty();
+        self.waiting = !self.asked.is_empty();
     }
 
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
@@ -613,15 +613,15 @@ impl Method for LeastSquaresState {
         if matches!(self.phase, Phase::Simplex(_)) {
             return self.tell_simplex(answers);
         }
-        let requested = self.requested.len();
-        let reported = answers.len();
+        let asked = self.asked.len();
+        let told = answers.len();
         if !self.waiting {
             return Err(Error::TellWithoutAsk);
         }
-        if reported > requested {
-            return Err(Error::TooManyOutcomes { requested, reported });
+        if told > asked {
+            return Err(Error::TooManyOutcomes { asked, told });
         }
-        if let Some(m) = (0..reported).find_map(|k| answers.residuals(k)).map(<[f64]>::len)
+        if let Some(m) = (0..told).find_map(|k| answers.residuals(k)).map(<[f64]>::len)
             && self.points.is_empty()
         {
             // The residuals of the method, and a working copy.
@@ -629,15 +629,15 @@ impl Method for LeastSquaresState {
         }
         self.waiting = false;
         self.n_batches += 1;
-        self.n_points += requested as u64;
-        for k in 0..reported {
+        self.n_points += asked as u64;
+        for k in 0..told {
             let outcome = &answers.outcomes()[k];
             if outcome.is_known() {
                 let cost = outcome.value();
-                self.take(self.requested[k], cost.zip(answers.take_residuals(k)));
+                self.take(self.asked[k], cost.zip(answers.take_residuals(k)));
             }
         }
-        self.requested.clear();
+        self.asked.clear();
         if self.round.iter().all(|candidate| candidate.known != PointStatus::Pending) {
             self.conclude();
         }

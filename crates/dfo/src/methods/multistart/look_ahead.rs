@@ -11,18 +11,18 @@ impl MultistartState {
     /// available.
     pub(super) fn look_ahead(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
         let want = if self.options.needs_residuals() { Want::Residuals } else { Want::Cost };
-        let at = |requested: &Batch, k: usize| {
-            let cutoff = if want == Want::Cost { requested.cutoff(k) } else { f64::INFINITY };
-            known.ahead(requested.point(k), &Query::new(0, 0, cutoff).want(want))
+        let at = |asked: &Batch, k: usize| {
+            let cutoff = if want == Want::Cost { asked.cutoff(k) } else { f64::INFINITY };
+            known.ahead(asked.point(k), &Query::new(0, 0, cutoff).want(want))
         };
         let mut left = wanted;
         let (mut first, mut n_ahead) = (0, 0);
         for j in 0..self.searches.len() {
             let (place, Some(mut ahead)) = (first, self.take_ahead(j)) else { return };
-            first += self.searches[j].requested.len();
+            first += self.searches[j].asked.len();
             let is_asked = first > place;
-            ahead.advance(&|requested, k, is_same| {
-                if is_same && is_asked { known.answer(place + k).cloned() } else { at(requested, k) }
+            ahead.advance(&|asked, k, is_same| {
+                if is_same && is_asked { known.answer(place + k).cloned() } else { at(asked, k) }
             });
             n_ahead += ahead.n_ahead();
             if ahead.is_ahead() || !is_asked {
@@ -46,7 +46,7 @@ impl MultistartState {
         }
         // Next searches in the queue, unless the budget ends before.
         let mut budget = self.core.setup.max_evaluations.map_or(usize::MAX, |most| {
-            most.saturating_sub(self.core.n_points as usize + self.requested.len() + n_ahead)
+            most.saturating_sub(self.core.n_points as usize + self.asked.len() + n_ahead)
         });
         for k in 0..self.core.queue.len() {
             if left == 0 || budget == 0 {
@@ -61,7 +61,7 @@ impl MultistartState {
                     Err(_) => break,
                 },
             };
-            ahead.advance(&|requested, k, _| at(requested, k));
+            ahead.advance(&|asked, k, _| at(asked, k));
             budget = budget.saturating_sub(ahead.n_ahead());
             for (x, cutoff) in ahead.points().take(budget) {
                 batch.push(x, cutoff);

@@ -15,24 +15,23 @@ pub(super) struct SpeculativeSearches {
     pub(super) start: Vec<f64>,
     pub(super) method: Box<dyn Method + Send>,
     /// Points requested by the copy.
-    pub(super) requested: Batch,
+    pub(super) asked: Batch,
     /// Answers processed by the copy but not yet by the search.
-    reported: VecDeque<Answers>,
+    told: VecDeque<Answers>,
     is_over: bool,
 }
 
 impl SpeculativeSearches {
     /// Creates a copy of the search from this point.
     pub(super) fn new(start: Vec<f64>, method: Box<dyn Method + Send>) -> Self {
-        let mut ahead =
-            Self { start, method, requested: Batch::new(), reported: VecDeque::new(), is_over: false };
+        let mut ahead = Self { start, method, asked: Batch::new(), told: VecDeque::new(), is_over: false };
         ahead.ask();
         ahead
     }
 
     fn ask(&mut self) {
-        self.method.ask(&mut self.requested);
-        self.is_over = self.method.status() != Status::Running || self.requested.is_empty();
+        self.method.ask(&mut self.asked);
+        self.is_over = self.method.status() != Status::Running || self.asked.is_empty();
     }
 
     fn tell(&mut self, answers: &Answers) -> bool {
@@ -45,18 +44,18 @@ impl SpeculativeSearches {
 
     /// True if the copy is ahead of its search.
     pub(super) fn is_ahead(&self) -> bool {
-        !self.reported.is_empty()
+        !self.told.is_empty()
     }
 
     /// Returns the number of evaluations by which the copy is ahead of its search.
     pub(super) fn n_ahead(&self) -> usize {
-        self.reported.iter().map(Answers::len).sum()
+        self.told.iter().map(Answers::len).sum()
     }
 
     /// Follows the search, which has processed `answers`. Returns true if the copy is still on the path of
     /// the search.
     pub(super) fn follow(&mut self, answers: &Answers) -> bool {
-        match self.reported.pop_front() {
+        match self.told.pop_front() {
             Some(before) => before == *answers,
             None => self.tell(answers),
         }
@@ -65,11 +64,10 @@ impl SpeculativeSearches {
     /// Advances the copy while all answers to its requests are available. The arguments of `answer` are the
     /// batch, the index in the batch, and whether the search requests the same batch.
     pub(super) fn advance(&mut self, answer: &dyn Fn(&Batch, usize, bool) -> Option<Answer>) {
-        while !self.is_over && self.reported.len() < MOST_BATCHES {
+        while !self.is_over && self.told.len() < MOST_BATCHES {
             let mut answers = Answers::default();
-            for k in 0..self.requested.len() {
-                let Some(Answer { outcome, residuals, .. }) = answer(&self.requested, k, !self.is_ahead())
-                else {
+            for k in 0..self.asked.len() {
+                let Some(Answer { outcome, residuals, .. }) = answer(&self.asked, k, !self.is_ahead()) else {
                     return;
                 };
                 answers.push(outcome, &residuals);
@@ -77,13 +75,13 @@ impl SpeculativeSearches {
             if !self.tell(&answers) {
                 return;
             }
-            self.reported.push_back(answers);
+            self.told.push_back(answers);
         }
     }
 
     /// Returns the requested points with their cutoffs.
     pub(super) fn points(&self) -> impl Iterator<Item = (&[f64], f64)> {
-        let len = if self.is_over { 0 } else { self.requested.len() };
-        (0..len).map(|k| (self.requested.point(k), self.requested.cutoff(k)))
+        let len = if self.is_over { 0 } else { self.asked.len() };
+        (0..len).map(|k| (self.asked.point(k), self.asked.cutoff(k)))
     }
 }

@@ -98,7 +98,7 @@ pub(super) struct Search {
     pub(super) start: Vec<f64>,
     pub(super) method: Box<dyn Method + Send>,
     /// Points of the search in the last batch.
-    pub(super) requested: Batch,
+    pub(super) asked: Batch,
 }
 
 /// Stored form, with the inner methods as separate states.
@@ -117,8 +117,8 @@ pub struct MultistartState {
     pub(super) searches: Vec<Search>,
     pub(super) ahead: Vec<SpeculativeSearches>,
     /// The last requested batch of all searches; empty if no points are pending.
-    pub(super) requested: Batch,
-    reported: Answers,
+    pub(super) asked: Batch,
+    told: Answers,
 }
 
 impl fmt::Debug for MultistartState {
@@ -172,15 +172,15 @@ impl MultistartState {
     }
 
     fn of(options: &Multistart, core: Core, exploration: Option<Box<dyn Method + Send>>) -> Self {
-        let (requested, reported) = (Batch::new(), Answers::default());
+        let (asked, told) = (Batch::new(), Answers::default());
         Self {
             options: options.clone(),
             core,
             exploration,
             searches: Vec::new(),
             ahead: Vec::new(),
-            requested,
-            reported,
+            asked,
+            told,
         }
     }
 
@@ -248,7 +248,7 @@ impl MultistartState {
     /// Adds a search from a point, or restores it from a state.
     fn add(&mut self, start: Vec<f64>, state: Option<&[u8]>) -> Result<(), Error> {
         let method = self.options.search(&self.setup_at(&start), state)?;
-        self.searches.push(Search { start, method, requested: Batch::new() });
+        self.searches.push(Search { start, method, asked: Batch::new() });
         Ok(())
     }
 
@@ -387,25 +387,25 @@ impl MultistartState {
     fn searched(&mut self, answers: &Answers) -> Result<(), Error> {
         let mut first = 0;
         for search in &mut self.searches {
-            let len = search.requested.len();
-            self.reported.clear();
+            let len = search.asked.len();
+            self.told.clear();
             for k in first..(first + len).min(answers.len()) {
-                self.reported.push(answers.outcomes()[k].clone(), answers.residuals(k).unwrap_or_default());
+                self.told.push(answers.outcomes()[k].clone(), answers.residuals(k).unwrap_or_default());
             }
             first += len;
             if len > 0 {
-                search.method.tell(&self.reported)?;
-                self.ahead.retain_mut(|ahead| ahead.start != search.start || ahead.follow(&self.reported));
+                search.method.tell(&self.told)?;
+                self.ahead.retain_mut(|ahead| ahead.start != search.start || ahead.follow(&self.told));
             }
         }
         self.core.operation = Some(Operation::LocalSearches);
         if self.core.sample.is_pending() {
             // The remaining points belong to the next sample.
-            self.reported.clear();
+            self.told.clear();
             for k in first..answers.len() {
-                self.reported.push(answers.outcomes()[k].clone(), answers.residuals(k).unwrap_or_default());
+                self.told.push(answers.outcomes()[k].clone(), answers.residuals(k).unwrap_or_default());
             }
-            if self.core.rounds.tell(&self.reported, &mut self.core.sample)? {
+            if self.core.rounds.tell(&self.told, &mut self.core.sample)? {
                 self.sampled()?;
             }
         }
@@ -445,10 +445,10 @@ impl MultistartState {
     fn leave_half_to_the_first(&mut self) {
         let Core { n_elsewhere, setup, .. } = &self.core;
         let Some(budget) = setup.max_evaluations.filter(|_| !self.first_has_ended()) else { return };
-        let wanted: usize = self.searches.iter().skip(1).map(|search| search.requested.len()).sum();
+        let wanted: usize = self.searches.iter().skip(1).map(|search| search.asked.len()).sum();
         if n_elsewhere + wanted > budget / 2 {
             for search in self.searches.iter_mut().skip(1) {
-                search.requested = Batch::new();
+                search.asked = Batch::new();
             }
         }
     }
@@ -457,7 +457,7 @@ impl MultistartState {
     fn ask_searches(&mut self) {
         loop {
             for search in &mut self.searches {
-                search.method.ask(&mut search.requested);
+                search.method.ask(&mut search.asked);
             }
             if self.searches.iter().all(|search| search.method.status() == Status::Running) {
                 self.leave_half_to_the_first();
@@ -483,28 +483,28 @@ impl Method for MultistartState {
         if self.core.phase == Phase::Searching {
             self.ask_searches();
         }
-        let Self { core, exploration, searches, requested, options, .. } = self;
+        let Self { core, exploration, searches, asked, options, .. } = self;
         let n = core.setup.space.n();
         batch.start(n, core.n_batches, core.n_points);
         let mut take = |from: &Batch| (0..from.len()).for_each(|k| batch.push(from.point(k), from.cutoff(k)));
         let mut wants_residuals = options.needs_residuals();
         match core.phase {
             Phase::Sampling => {
-                core.rounds.ask(requested, n, &core.sample, |_| f64::INFINITY);
-                take(requested);
+                core.rounds.ask(asked, n, &core.sample, |_| f64::INFINITY);
+                take(asked);
             }
             Phase::Exploring => {
                 wants_residuals = false;
                 if let Some(exploration) = exploration {
-                    exploration.ask(requested);
-                    take(requested);
+                    exploration.ask(asked);
+                    take(asked);
                 }
             }
             Phase::Searching => {
-                searches.iter().for_each(|search| take(&search.requested));
+                searches.iter().for_each(|search| take(&search.asked));
                 if core.sample.is_pending() {
-                    core.rounds.ask(requested, n, &core.sample, |_| f64::INFINITY);
-                    take(requested);
+                    core.rounds.ask(asked, n, &core.sample, |_| f64::INFINITY);
+                    take(asked);
                 }
             }
             Phase::NoStart | Phase::Ended(_) => {}
@@ -512,41 +512,40 @@ impl Method for MultistartState {
         if wants_residuals {
             batch.set_want(Want::Residuals);
         }
-        requested.clone_from(batch);
+        asked.clone_from(batch);
     }
 
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
-        let (requested, outcomes) = (std::mem::take(&mut self.requested), answers.outcomes());
-        if requested.is_empty() {
+        let (asked, outcomes) = (std::mem::take(&mut self.asked), answers.outcomes());
+        if asked.is_empty() {
             return Err(Error::TellWithoutAsk);
         }
-        if outcomes.len() > requested.len() {
-            let error = Error::TooManyOutcomes { requested: requested.len(), reported: outcomes.len() };
-            self.requested = requested;
+        if outcomes.len() > asked.len() {
+            let error = Error::TooManyOutcomes { asked: asked.len(), told: outcomes.len() };
+            self.asked = asked;
             return Err(error);
         }
         let core = &mut self.core;
         core.n_batches += 1;
-        core.n_points += requested.len() as u64;
+        core.n_points += asked.len() as u64;
         for (k, outcome) in outcomes.iter().enumerate() {
             let Some(cost) = outcome.value() else { continue };
-            core.best.offer(requested.point(k), cost);
+            core.best.offer(asked.point(k), cost);
         }
         core.n_iterations += usize::from(core.operation.is_some());
         match core.phase {
             Phase::Sampling => {
-                core.n_elsewhere += requested.len();
+                core.n_elsewhere += asked.len();
                 if core.rounds.tell(answers, &mut core.sample)? {
                     self.sampled()?;
                 }
             }
             Phase::Exploring => {
-                core.n_elsewhere += requested.len();
+                core.n_elsewhere += asked.len();
                 self.explored(answers)?;
             }
             Phase::Searching => {
-                core.n_elsewhere +=
-                    requested.len() - self.searches.first().map_or(0, |first| first.requested.len());
+                core.n_elsewhere += asked.len() - self.searches.first().map_or(0, |first| first.asked.len());
                 self.searched(answers)?;
             }
             Phase::NoStart | Phase::Ended(_) => {}
@@ -556,7 +555,7 @@ impl Method for MultistartState {
 
     fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
         match self.core.phase {
-            Phase::Exploring if self.core.n_explored + self.requested.len() < self.core.n_planned => {
+            Phase::Exploring if self.core.n_explored + self.asked.len() < self.core.n_planned => {
                 if let Some(exploration) = &mut self.exploration {
                     exploration.speculate(wanted, known, batch);
                 }

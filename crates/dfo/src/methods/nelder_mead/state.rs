@@ -255,20 +255,20 @@ impl Method for NelderMeadState {
 
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
         let outcomes = answers.outcomes();
-        let requested = self.roles.len();
+        let asked = self.roles.len();
         if !self.waiting {
             return Err(Error::TellWithoutAsk);
         }
         if self.phase == Phase::BesideFailures {
             return self.check_told(answers);
         }
-        if outcomes.len() > requested {
-            return Err(Error::TooManyOutcomes { requested, reported: outcomes.len() });
+        if outcomes.len() > asked {
+            return Err(Error::TooManyOutcomes { asked, told: outcomes.len() });
         }
         self.waiting = false;
-        if requested > 0 {
+        if asked > 0 {
             self.n_batches += 1;
-            self.n_points += requested as u64;
+            self.n_points += asked as u64;
         }
         for (k, outcome) in outcomes.iter().enumerate() {
             let Ok(cost) = cost_of(outcome) else { continue };

@@ -435,7 +435,7 @@ impl Method for Polling {
             return self.check_told(answers);
         }
         if outcomes.len() > 1 {
-            return Err(Error::TooManyOutcomes { requested: 1, reported: outcomes.len() });
+            return Err(Error::TooManyOutcomes { asked: 1, told: outcomes.len() });
         }
         self.waiting = false;
         self.n_points += 1;

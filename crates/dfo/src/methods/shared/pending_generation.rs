@@ -50,16 +50,16 @@ impl PendingGeneration {
 
     /// Records outcomes. Returns true if all candidates now have a cost.
     pub(crate) fn tell(&mut self, answers: &Answers, candidates: &mut RankedPoints) -> Result<bool, Error> {
-        let (requested, outcomes) = (self.roles.len(), answers.outcomes());
+        let (asked, outcomes) = (self.roles.len(), answers.outcomes());
         if !self.waiting {
             return Err(Error::TellWithoutAsk);
         }
-        if outcomes.len() > requested {
-            return Err(Error::TooManyOutcomes { requested, reported: outcomes.len() });
+        if outcomes.len() > asked {
+            return Err(Error::TooManyOutcomes { asked, told: outcomes.len() });
         }
         self.waiting = false;
         self.n_batches += 1;
-        self.n_points += requested as u64;
+        self.n_points += asked as u64;
         for (k, outcome) in outcomes.iter().enumerate().filter(|(_, o)| o.is_known()) {
             let slot = self.roles[k];
             // A candidate stopped above the target's cost is treated like a failed one.

@@ -147,16 +147,16 @@ impl<O: NeedsSizes> Method for WithSizes<O> {
         if let Some((_, search)) = &mut self.search {
             return search.tell(answers);
         }
-        let (requested, outcomes) = (self.roles.len(), answers.outcomes());
+        let (asked, outcomes) = (self.roles.len(), answers.outcomes());
         if !self.waiting {
             return Err(Error::TellWithoutAsk);
         }
-        if outcomes.len() > requested {
-            return Err(Error::TooManyOutcomes { requested, reported: outcomes.len() });
+        if outcomes.len() > asked {
+            return Err(Error::TooManyOutcomes { asked, told: outcomes.len() });
         }
         self.waiting = false;
         self.n_batches += 1;
-        self.n_points += requested as u64;
+        self.n_points += asked as u64;
         let space = &self.setup.space;
         for (outcome, role) in outcomes.iter().zip(&self.roles).filter(|(outcome, _)| outcome.is_known()) {
             match (role, &mut self.sizes, outcome.value()) {
