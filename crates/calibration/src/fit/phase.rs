@@ -86,7 +86,7 @@ pub(crate) struct Phases {
 }
 
 impl Phases {
-    /// Creates the record of the phases. `told` is updated when a phase begins.
+    /// Creates the record of the phases. `reported` is updated when a phase begins.
     pub(crate) fn new(reported: Arc<CurrentPhase>) -> Self {
         let now = (reported.get(), Instant::now(), Effort::default());
         Self { reported, taken: Default::default(), now }

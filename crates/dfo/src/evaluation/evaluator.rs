@@ -10,7 +10,7 @@ use std::time::Instant;
 /// Evaluates points, which are submitted one by one and answered in any order. Lives as long as the run.
 ///
 /// ```
-/// use dfo::{Answer, Evaluator, Outcome, Polled, Query, Wait, minimize_by};
+/// use dfo::{Answer, Evaluator, Outcome, PollResult, Query, Wait, minimize_by};
 /// use std::collections::VecDeque;
 /// use std::sync::mpsc::{Receiver, Sender, channel};
 ///
@@ -23,17 +23,17 @@ use std::time::Instant;
 ///         self.2 += 1;
 ///         std::thread::spawn(move || sender.send((query.id, x.iter().map(|x| x * x).sum())));
 ///     }
-///     fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled {
+///     fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> PollResult {
 ///         if self.2 == 0 {
-///             return Polled::Idle;
+///             return PollResult::Idle;
 ///         }
 ///         match self.1.recv_timeout(wait.left()) {
 ///             Ok((id, cost)) => {
 ///                 self.2 -= 1;
 ///                 *answer = Outcome::Value(cost).into();
-///                 Polled::Answered(id)
+///                 PollResult::Answered(id)
 ///             }
-///             Err(_) => Polled::Waiting,
+///             Err(_) => PollResult::Waiting,
 ///         }
 ///     }
 ///     fn cancel(&mut self, _: u64) {}
