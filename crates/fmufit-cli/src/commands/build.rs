@@ -23,6 +23,12 @@ pub(crate) fn run(arguments: &Build, console: &Console) -> Result<Exit, Error> {
             )));
         }
     };
+    if model.is_dir() && !["sources", "binaries"].iter().any(|folder| model.join(folder).is_dir()) {
+        let name = model.display();
+        return Err(Error::input(format!(
+            "{name} has neither the folder \"sources\" nor the folder \"binaries\". Put the C files into \"sources\""
+        )));
+    }
     let interrupt = Interrupt::watch()?;
     let built = fmi::pack_unless(model, &output, &CancelRequest::when(interrupt.flag()));
     match built {

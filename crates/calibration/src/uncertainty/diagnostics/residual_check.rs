@@ -128,7 +128,7 @@ impl ResidualCheck {
                     "are autocorrelated ({:.2} at lag one): the model lacks an effect, or the noise is slow{corrected}",
                     self.autocorrelation
                 ),
-                "Plot the residuals, and try search=\"global\" to find values that remove the pattern",
+                "Plot the residuals. Check the initial states, and inputs that switch between rows; then try search=\"global\"",
             );
         }
         if self.has_offset() {

@@ -55,7 +55,7 @@ pub(super) fn text(
         ));
     }
     if !columns.inputs.is_empty() || !columns.undriven.is_empty() {
-        lines.push("# Column of each input, or its constant value.".to_owned());
+        lines.push("# Column of each input, or its constant value; { column = \"name\", hold = true } holds it between rows.".to_owned());
         lines.push(pairs("inputs", &columns.inputs));
     }
     if !columns.undriven.is_empty() {

@@ -250,7 +250,8 @@ class Futures:
             self._given_up.add(number)
             if isinstance(self._executor, DaskExecutor):
                 # Dask's cancel waits for the scheduler. The scheduler drops a released task that has not started.
-                future.release()
+                task: Any = future
+                task.release()
                 self._ended.put(number)
             else:
                 future.cancel()
@@ -304,7 +305,7 @@ def foreign(fun: Callable[..., Any], workers: Any, takes_cutoff: bool = False) -
 def worker_count(workers: Any) -> int | None:
     """Returns the number of workers of an executor, or None if it is unknown."""
     if isinstance(workers, DaskExecutor):
-        return sum(workers._client.nthreads().values())
+        return int(sum(workers._client.nthreads().values()))
     # Attributes of Python's executors, loky and MPI.
     known = getattr(workers, "_max_workers", None) or getattr(workers, "num_workers", None)
     return known if isinstance(known, int) and known > 0 else None
