@@ -14,9 +14,9 @@ T = np.arange(51) / 10
 def test_bootstrap_agrees_with_the_standard_errors_for_any_number_of_workers(kind: str) -> None:
     x = np.exp(-2.0 * T) + 0.02 * np.random.default_rng(7).standard_normal(51)
     fit = Calibration(example_fmu("dahlquist"), {"time": T, "x": x}, "x", [Parameter("k", 1.5, 0.1, 9)], sigma=0.02).fit()
-    found = fit.bootstrap(60, kind, seed=5, workers=2)
+    found = fit.bootstrap(60, kind, rng=5, workers=2)
     assert (found.samples.shape, found.n_failed, found.kind, found.seed) == ((60, 1), 0, kind, 5)
-    assert found.samples[:9].tobytes() == fit.bootstrap(9, kind, seed=5, workers=1).samples.tobytes()
+    assert found.samples[:9].tobytes() == fit.bootstrap(9, kind, rng=5, workers=1).samples.tobytes()
     assert abs(np.log(found.stderr[0] / fit.stderr[0])) < 0.4
     low, high = found.intervals()["k"]
     assert low < fit.x[0] < high and "95 % interval of 60 fits" in str(found)
@@ -30,5 +30,7 @@ def test_bootstrap_reports_wrong_arguments() -> None:
         fit.bootstrap(5, "jackknife")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="n"):
         fit.bootstrap(0)
+    with pytest.raises(ValueError, match="level is 2; it must be between 0 and 1"):
+        fit.bootstrap(3, rng=1).intervals(2)
     with pytest.raises(ValueError, match="requires a sum of squares"):
         calibration.fit(objective="likelihood").bootstrap(5)

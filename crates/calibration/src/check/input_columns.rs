@@ -20,7 +20,7 @@ const SPARSE: f64 = 0.5;
 /// Values beyond the range of the model by less than this part of their own range are sensor noise.
 const NOISE: f64 = 0.05;
 
-/// Maximum number of levels of a switching input.
+/// Maximum number of levels of a switching input. The note is true for any number; it is of interest for few.
 const FEW_LEVELS: usize = 10;
 
 /// Rows of an input that have a value.

@@ -11,6 +11,7 @@ pub(crate) mod input;
 pub(crate) mod measurements;
 pub(crate) mod objective;
 pub(crate) mod parameter;
+mod parameter_check;
 pub(crate) mod prior;
 pub(crate) mod residual_layout;
 pub(crate) mod resolution;

@@ -13,6 +13,15 @@ pub(crate) fn median(values: &mut [f64]) -> f64 {
     }
 }
 
+/// Returns a quantile by linear interpolation between the ordered values; sorts the values.
+pub(crate) fn quantile(values: &mut [f64], p: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let position = p * (values.len() - 1) as f64;
+    let (below, part) = (position.floor() as usize, position.fract());
+    let above = (below + 1).min(values.len() - 1);
+    values[below] + part * (values[above] - values[below])
+}
+
 /// Returns the distances from the median, in robust standard deviations; NaN or infinite if the deviation is
 /// zero.
 pub(crate) fn distances(r: &[f64]) -> Vec<f64> {

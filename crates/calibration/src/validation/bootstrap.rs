@@ -9,8 +9,9 @@ use crate::fit::one_stage::{Fit, FitNoise, FitOptions, NoiseRule};
 use crate::loaded::calibration::Calibration;
 use crate::problem::objective::CostKind;
 use crate::problem::residual_layout::OutputResiduals;
+use crate::uncertainty::robust::quantile;
 use base::RunContext;
-use dfo::RunOptions;
+use dfo::{RunOptions, draw_seed, standard_normals, uniforms};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;
@@ -40,16 +41,16 @@ pub struct BootstrapOptions {
     pub n: usize,
     /// Source of the errors.
     pub kind: BootstrapKind,
-    /// Seed of the random numbers; default 0. Each fit has its own stream, so the result depends on neither
-    /// the number of workers nor `n`.
-    pub seed: u64,
+    /// Seed of the random numbers; default: drawn, and stored in the result. Each fit has a separate stream,
+    /// so the result does not depend on the number of workers, and a larger `n` only adds fits.
+    pub seed: Option<u64>,
     /// Number of fits that run in parallel; default: all cores.
     pub workers: Option<usize>,
 }
 
 impl Default for BootstrapOptions {
     fn default() -> Self {
-        Self { n: 200, kind: BootstrapKind::default(), seed: 0, workers: None }
+        Self { n: 200, kind: BootstrapKind::default(), seed: None, workers: None }
     }
 }
 
@@ -72,13 +73,6 @@ pub struct Bootstrap {
 }
 
 impl Bootstrap {
-    /// Returns the sorted values of a parameter.
-    fn sorted(&self, i: usize) -> Vec<f64> {
-        let mut values: Vec<f64> = self.samples.iter().map(|x| x[i]).collect();
-        values.sort_unstable_by(f64::total_cmp);
-        values
-    }
-
     /// Returns the standard deviation of each parameter; NaN for fewer than two fits.
     pub fn standard_errors(&self) -> Vec<f64> {
         let n = self.samples.len() as f64;
@@ -103,50 +97,11 @@ impl Bootstrap {
             )));
         }
         let of = |i: usize| {
-            let sorted = self.sorted(i);
-            let at = |p: f64| {
-                let place = p * (sorted.len() - 1) as f64;
-                let (below, part) = (place.floor() as usize, place.fract());
-                let above = (below + 1).min(sorted.len() - 1);
-                sorted[below] + part * (sorted[above] - sorted[below])
-            };
+            let mut values: Vec<f64> = self.samples.iter().map(|x| x[i]).collect();
+            let mut at = |p: f64| quantile(&mut values, p);
             (at(0.5 - 0.5 * level), at(0.5 + 0.5 * level))
         };
         Ok((0..self.x.len()).map(of).collect())
-    }
-}
-
-/// Random numbers: SplitMix64 (Steele, Lea and Flood, OOPSLA 2014).
-struct Random(u64);
-
-impl Random {
-    /// Returns the stream with this number.
-    fn stream(seed: u64, number: usize) -> Self {
-        let mut own = Self(seed);
-        let first = own.next();
-        Self(first ^ (number as u64).wrapping_mul(0xD134_2543_DE82_EF95))
-    }
-
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
-    }
-
-    /// Returns a number above 0 and below 1.
-    fn uniform(&mut self) -> f64 {
-        ((self.next() >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
-    }
-
-    /// Returns an index below `n`.
-    fn below(&mut self, n: usize) -> usize {
-        ((self.uniform() * n as f64) as usize).min(n - 1)
-    }
-
-    /// Returns a normally distributed number (Box and Muller, Annals of Mathematical Statistics 29, 1958).
-    fn normal(&mut self) -> f64 {
-        (-2.0 * self.uniform().ln()).sqrt() * (std::f64::consts::TAU * self.uniform()).cos()
     }
 }
 
@@ -168,20 +123,19 @@ impl Errors {
         Self { residuals: residuals.iter().map(|r| (r - mean) * scale).collect(), sd }
     }
 
-    fn draw(&self, kind: BootstrapKind, random: &mut Random) -> Vec<f64> {
+    /// Draws errors for all measurements, as a function of the seed and the index.
+    fn draw(&self, kind: BootstrapKind, seed: u64, index: usize) -> Vec<f64> {
         let (r, n) = (&self.residuals, self.residuals.len());
+        let rows = |count: usize| uniforms(seed, index, count).into_iter().map(|u| (u * n as f64) as usize);
         match kind {
-            BootstrapKind::Parametric => (0..n).map(|_| self.sd * random.normal()).collect(),
-            BootstrapKind::Residual => (0..n).map(|_| r[random.below(n)]).collect(),
+            BootstrapKind::Parametric => {
+                standard_normals(seed, index, n).into_iter().map(|deviate| self.sd * deviate).collect()
+            }
+            BootstrapKind::Residual => rows(n).map(|row| r[row]).collect(),
             BootstrapKind::Block => {
-                let length = (n as f64).cbrt().ceil() as usize;
-                let mut drawn = Vec::with_capacity(n + length);
-                while drawn.len() < n {
-                    let first = random.below(n);
-                    drawn.extend((first..first + length).map(|i| r[i % n]));
-                }
-                drawn.truncate(n);
-                drawn
+                let length = (n as f64).cbrt().ceil().max(1.0) as usize;
+                let blocks = rows(n.div_ceil(length));
+                blocks.flat_map(|first| (first..first + length).map(|row| r[row % n])).take(n).collect()
             }
         }
     }
@@ -202,10 +156,7 @@ impl Calibration {
         options: &BootstrapOptions,
         context: &RunContext<'_>,
     ) -> Result<Bootstrap, CalibrationError> {
-        let _held = self.hold();
-        self.check_length(&fit.x)?;
-        let own = self.of_fit(fit)?;
-        own.as_ref().unwrap_or(self).own_bootstrap(fit, options, context)
+        self.as_fitted(fit, |fitted| fitted.own_bootstrap(fit, options, context))
     }
 
     /// Computes the bootstrap with the weights and the tolerance of the fit.
@@ -237,9 +188,11 @@ impl Calibration {
         };
         let errors: Vec<Errors> = self.residual_layout().outputs.iter().map(errors).collect();
         self.prepare()?;
+        let seed = options.seed.unwrap_or_else(draw_seed);
         let task = |number: usize, context: &RunContext<'_>| {
-            let mut random = Random::stream(options.seed, number);
-            let drawn: Vec<Vec<f64>> = errors.iter().map(|of| of.draw(options.kind, &mut random)).collect();
+            let drawn = errors.iter().enumerate();
+            let drawn = drawn.map(|(k, of)| of.draw(options.kind, seed, number * errors.len() + k));
+            let drawn: Vec<Vec<f64>> = drawn.collect();
             let fitted = self.with_errors(&residuals, &drawn)?.fit(FitOptions {
                 run: RunOptions { workers: Some(1), seed: Some(0), ..FitOptions::default_run() },
                 start: Some(fit.x.clone()),
@@ -265,7 +218,7 @@ impl Calibration {
             samples: made.into_iter().flatten().collect(),
             n_failed,
             kind: options.kind,
-            seed: options.seed,
+            seed,
         })
     }
 

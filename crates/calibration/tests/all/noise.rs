@@ -595,7 +595,7 @@ fn bootstrap_has_the_standard_error_of_a_linear_parameter_for_any_number_of_work
     let fit = calibration.fit(run(LeastSquares::default())).unwrap();
     for kind in [BootstrapKind::Parametric, BootstrapKind::Residual, BootstrapKind::Block] {
         let of = |n, workers| {
-            let options = BootstrapOptions { n, kind, seed: 3, workers: Some(workers) };
+            let options = BootstrapOptions { n, kind, seed: Some(3), workers: Some(workers) };
             calibration.bootstrap(&fit, &options, &RunContext::new()).unwrap()
         };
         let found = of(100, 2);

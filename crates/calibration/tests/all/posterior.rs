@@ -133,6 +133,31 @@ fn sample_has_the_same_bits_for_any_number_of_workers_and_after_a_restart() {
 }
 
 #[test]
+fn sample_interrupted_within_a_step_continues_with_the_same_bits() {
+    let calibration = line(12, Sigma::Constant(SD), free());
+    let fit = calibration.fit(FitOptions::default()).unwrap();
+    let whole = sample(&calibration, &options(12));
+    // The context is checked several times in each half of a step.
+    for interval in [1100_u32, 1300, 1500, 1700] {
+        let folder = tempfile::tempdir().unwrap();
+        let stored = PosteriorOptions { checkpoint: Some(folder.path().join("chain")), ..options(12) };
+        let mut n_runs = 0;
+        let found = loop {
+            let left = Cell::new(interval);
+            let is_asked = || left.replace(left.get().saturating_sub(1)) == 0;
+            let context = RunContext::new().asking(&is_asked);
+            n_runs += 1;
+            match calibration.sample(&fit, &stored, &mut |_| (), &context) {
+                Ok(found) if !found.is_interrupted => break found,
+                Ok(_) | Err(CalibrationError::Cancelled) if n_runs < 100 => {}
+                other => panic!("{interval}: {other:?}"),
+            }
+        };
+        assert!(n_runs > 1 && found.draws == whole.draws, "{interval}: {n_runs} runs");
+    }
+}
+
+#[test]
 fn walkers_can_start_in_the_box() {
     let found = sample(
         &line(20, Sigma::Constant(SD), free()),

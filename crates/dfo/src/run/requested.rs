@@ -253,28 +253,28 @@ impl RequestedRun {
 }
 
 /// Sets an option if a value is given.
-fn set<T>(option: &mut T, reported: Option<T>) {
-    if let Some(reported) = reported {
-        *option = reported;
+fn set<T>(option: &mut T, given: Option<T>) {
+    if let Some(given) = given {
+        *option = given;
     }
 }
 
 /// Sets a limit if a value is given.
-fn limit(limit: &mut Option<usize>, name: &str, reported: &Value, least: u64) -> Result<(), RecordError> {
-    if *reported != Value::Nothing {
-        *limit = reported.read_limit(name, least)?;
+fn limit(limit: &mut Option<usize>, name: &str, given: &Value, least: u64) -> Result<(), RecordError> {
+    if *given != Value::Nothing {
+        *limit = given.read_limit(name, least)?;
     }
     Ok(())
 }
 
 /// Reads the number of evaluations that may run at once, if it is given.
-fn workers(reported: &Value) -> Result<Option<usize>, RecordError> {
-    match reported {
+fn workers(given: &Value) -> Result<Option<usize>, RecordError> {
+    match given {
         Value::Negative(-1) => Ok(Some(base::available_cores())),
         Value::Negative(_) | Value::Count(0) => {
-            Err(RecordError::range("at least 1, or -1 for all cores").of("workers", reported))
+            Err(RecordError::range("at least 1, or -1 for all cores").of("workers", given))
         }
-        reported => reported.read("workers"),
+        given => given.read("workers"),
     }
 }
 

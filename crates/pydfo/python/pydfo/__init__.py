@@ -19,11 +19,13 @@ from ._core import __version__
 
 if TYPE_CHECKING:
     from . import compat, dfo, fmi, ode
+    from ._calibration.bootstrap import Bootstrap
     from ._calibration.calibration import Calibration
     from ._calibration.check import Check, Finding
     from ._calibration.experiment import Experiment, Hold
     from ._calibration.export import load_fit
-    from ._calibration.fit import Bootstrap, ChosenTolerance, Comparison, Fit, FitNoise, Goodness, OutputFit
+    from ._calibration.fit import ChosenTolerance, Fit, FitNoise, OutputFit
+    from ._calibration.goodness import Comparison, Goodness
     from ._calibration.parameter import LogNormal, Normal, Parameter
     from ._calibration.posterior import Posterior
     from ._calibration.profile import Profile
@@ -68,7 +70,9 @@ _HOMES = {
     "_errors": "AllStartsFailed BadCalibrationError BadModelValueError CalibrationError CalibrationWarning CheckpointError FmuError Interrupted ModelTypeError NoResult PydfoError SimulationError SimulationWarning UnknownVariableError",
     "_calibration.experiment": "Experiment Hold",
     "_model.files": "build_fmu clear_caches example_fmu",
-    "_calibration.fit": "Bootstrap ChosenTolerance Comparison Fit FitNoise Goodness OutputFit",
+    "_calibration.bootstrap": "Bootstrap",
+    "_calibration.fit": "ChosenTolerance Fit FitNoise OutputFit",
+    "_calibration.goodness": "Comparison Goodness",
     "_optimize.fmin": "fmin",
     "_optimize.least_squares": "least_squares",
     "_optimize.minimize": "minimize",

@@ -117,7 +117,7 @@ impl PyFit {
         py: Python<'py>,
         n: usize,
         kind: &str,
-        seed: u64,
+        seed: Option<u64>,
         workers: Option<usize>,
     ) -> PyResult<(Bound<'py, PyAny>, String)> {
         let options = BootstrapOptions { n, kind: read("kind", kind)?, seed, workers };

@@ -222,6 +222,18 @@ impl Calibration {
         Ok(weighed.or(tolerant))
     }
 
+    /// Computes with the weights and the tolerance of a fit. Worker processes keep their working folder and
+    /// environment meanwhile.
+    pub(crate) fn as_fitted<T>(
+        &self,
+        fit: &super::Fit,
+        work: impl FnOnce(&Self) -> Result<T, CalibrationError>,
+    ) -> Result<T, CalibrationError> {
+        let _held = self.hold();
+        self.check_length(&fit.x)?;
+        work(self.of_fit(fit)?.as_ref().unwrap_or(self))
+    }
+
     /// Runs all searches of a fit, including the steps before them.
     pub(super) fn made(&self, job: &mut Job<'_>, stats: &mut Stats) -> Result<FinalSearch, CalibrationError> {
         let tolerance = if job.is_part { None } else { self.choose_tolerance(job) };

@@ -3,6 +3,7 @@
 use super::saved::SavedChain;
 use crate::findings::shown_text::{digits, visible_line};
 use crate::fit::one_stage::Fit;
+use crate::uncertainty::robust::quantile;
 use base::Number;
 use dfo::{EnsembleSampler, autocorrelation_time, split_r_hat};
 use ode::Stats;
@@ -76,7 +77,7 @@ impl Posterior {
         n_warmup: usize,
     ) -> Self {
         let (n, n_walkers) = (free.len(), sampler.walkers().len());
-        let n_warmup = n_warmup.min(saved.n_steps() - 1);
+        let n_warmup = n_warmup.min(saved.n_steps(n_walkers) - 1);
         let draws = saved.draws[n_warmup * n_walkers * n..].to_vec();
         let log_densities = saved.log_densities[n_warmup * n_walkers..].to_vec();
         let n_steps = log_densities.len() / n_walkers;
@@ -131,15 +132,6 @@ impl Posterior {
     pub fn is_converged(&self) -> bool {
         self.parameters.iter().all(|p| p.r_hat <= LARGEST_R_HAT && p.effective_draws >= FEWEST_EFFECTIVE)
     }
-}
-
-/// Returns a quantile by linear interpolation between the sorted values.
-fn quantile(values: &mut [f64], p: f64) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let position = p * (values.len() - 1) as f64;
-    let (below, part) = (position.floor() as usize, position.fract());
-    let above = (below + 1).min(values.len() - 1);
-    values[below] + part * (values[above] - values[below])
 }
 
 impl fmt::Display for Posterior {

@@ -1,11 +1,9 @@
 //! File of a chain, with the identity of its problem.
 
 use crate::error::CalibrationError;
+use crate::intervals::saved_file;
 use dfo::EnsembleSampler;
-use fmi::FmiError;
-use fmi::platform::fill_atomically;
 use serde::{Deserialize, Serialize};
-use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -53,29 +51,18 @@ impl SavedChain {
             written: None,
         };
         let Some(path) = path else { return Ok(chain) };
-        let refused = |why: &str| {
-            let path = path.display();
-            Err(CalibrationError::Setup(format!("{path} {why}. Specify another file, or remove this one")))
-        };
-        match base::files::read_regular(path) {
-            Ok(bytes) => match serde_json::from_slice::<Self>(&bytes) {
-                Ok(found) if found.format == FORMAT && found.problem == chain.problem => {
-                    if !found.is_sound() {
-                        return refused("is damaged");
-                    }
-                    chain = Self { file: chain.file, ..found };
-                }
-                Ok(found) if found.format == FORMAT => {
-                    return refused(
-                        "contains a sample of another fit or problem, or with other walkers or another seed",
-                    );
-                }
-                _ => return refused("is not a file of a sample of this version"),
-            },
-            Err(source) if source.kind() == ErrorKind::NotFound => {}
-            Err(source) => return Err(CalibrationError::DataFile { path: path.to_owned(), source }),
+        let unreadable = "is not a file of a sample of this version";
+        let found = saved_file::read(path, unreadable, |found: &Self| match found {
+            _ if found.format != FORMAT => Some(unreadable),
+            _ if found.problem != chain.problem => {
+                Some("contains a sample of another fit or problem, or with other walkers or another seed")
+            }
+            _ => (!found.is_sound()).then_some("is damaged"),
+        })?;
+        if let Some(found) = found {
+            chain = Self { file: chain.file, ..found };
         }
-        chain.write()?;
+        saved_file::write(path, &chain)?;
         Ok(chain)
     }
 
@@ -85,39 +72,30 @@ impl SavedChain {
         };
         let n_walkers = sampler.walkers().len();
         sampler.is_sound()
-            && sampler.is_at_step()
             && self.log_densities.len() == sampler.n_steps() * n_walkers
             && self.draws.len() == self.log_densities.len() * sampler.walkers()[0].len()
     }
 
     /// Returns the number of steps in the chain.
-    pub(super) fn n_steps(&self) -> usize {
-        self.sampler.as_ref().map_or(0, |sampler| self.log_densities.len() / sampler.walkers().len())
+    pub(super) fn n_steps(&self, n_walkers: usize) -> usize {
+        self.log_densities.len() / n_walkers
     }
 
-    /// Writes the file if the last write was long enough ago. A failure only causes a warning, so that the
-    /// chain is not lost.
-    pub(super) fn write_at_times(&mut self, sampler: &EnsembleSampler) -> Result<(), CalibrationError> {
-        let is_due = self.written.is_none_or(|(at, took)| at.elapsed() >= SHORTEST.max(SHARE * took));
-        if self.file.is_none() || !is_due {
-            return Ok(());
+    /// Writes the file if the last write was long enough ago.
+    pub(super) fn write_at_times(&mut self, sampler: &EnsembleSampler) {
+        if self.written.is_none_or(|(at, took)| at.elapsed() >= SHORTEST.max(SHARE * took)) {
+            self.write(sampler);
         }
+    }
+
+    /// Writes the file, if there is one. A failure only causes a warning, so that the chain is not lost.
+    pub(super) fn write(&mut self, sampler: &EnsembleSampler) {
+        let Some(path) = &self.file else { return };
+        let began = Instant::now();
         self.sampler = Some(sampler.clone());
-        if let Err(error) = self.write() {
+        if let Err(error) = saved_file::write(path, self) {
             log::warn!("the sample was not saved: {error}");
         }
-        Ok(())
-    }
-
-    /// Writes the file, if there is one.
-    pub(super) fn write(&mut self) -> Result<(), CalibrationError> {
-        let Some(path) = &self.file else { return Ok(()) };
-        let began = Instant::now();
-        let bytes = serde_json::to_vec(self).map_err(|e| CalibrationError::Setup(e.to_string()))?;
-        fill_atomically(path, |mut file, _| -> Result<(), CalibrationError> {
-            Ok(file.write_all(&bytes).map_err(FmiError::io("write", path))?)
-        })?;
         self.written = Some((Instant::now(), began.elapsed()));
-        Ok(())
     }
 }

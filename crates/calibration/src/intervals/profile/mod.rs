@@ -102,9 +102,7 @@ impl Calibration {
         options: &ProfileOptions,
         context: &RunContext<'_>,
     ) -> Result<Profile, CalibrationError> {
-        let _held = self.hold();
-        self.check_length(&fit.x)?;
-        self.of_fit(fit)?.as_ref().unwrap_or(self).own_profile(fit, options, context)
+        self.as_fitted(fit, |fitted| fitted.own_profile(fit, options, context))
     }
 
     /// Computes the profile with the weights and the tolerance of the fit.

@@ -2,11 +2,9 @@
 
 use super::result::{ProfileEnd, ProfilePoint};
 use crate::error::CalibrationError;
+use crate::intervals::saved_file;
 use crate::uncertainty::stuck_parameters::BoundSide;
-use fmi::FmiError;
-use fmi::platform::fill_atomically;
 use serde::{Deserialize, Serialize};
-use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 /// Format name in the file.
@@ -48,31 +46,16 @@ impl SavedSides {
         let mut own =
             Self { format: FORMAT.to_owned(), problem, sides: Vec::new(), path: path.map(Path::to_owned) };
         let Some(path) = path else { return Ok(own) };
-        let refused = |why: &str| {
-            let place = path.display();
-            Err(CalibrationError::Setup(format!("{place} {why}. Specify another file, or remove this one")))
-        };
-        match base::files::read_regular(path) {
-            Ok(bytes) => match serde_json::from_slice::<Self>(&bytes) {
-                Ok(found) if found.format == FORMAT && found.problem == own.problem => {
-                    let is_sound = |side: &Side| {
-                        side.parameter < n && side.points.iter().all(|point| point.x.len() == n)
-                    };
-                    if !found.sides.iter().all(is_sound) {
-                        return refused("is damaged");
-                    }
-                    own.sides = found.sides;
-                }
-                Ok(found) if found.format == FORMAT => {
-                    return refused(
-                        "contains profiles of another fit, problem, level or number of points per side",
-                    );
-                }
-                _ => return refused("is not a file of profiles of this version"),
-            },
-            Err(source) if source.kind() == ErrorKind::NotFound => {}
-            Err(source) => return Err(CalibrationError::DataFile { path: path.to_owned(), source }),
-        }
+        let is_sound = |side: &Side| side.parameter < n && side.points.iter().all(|point| point.x.len() == n);
+        let unreadable = "is not a file of profiles of this version";
+        let found = saved_file::read(path, unreadable, |found: &Self| match found {
+            _ if found.format != FORMAT => Some(unreadable),
+            _ if found.problem != own.problem => {
+                Some("contains profiles of another fit, problem, level or number of points per side")
+            }
+            _ => (!found.sides.iter().all(is_sound)).then_some("is damaged"),
+        })?;
+        own.sides = found.map(|found| found.sides).unwrap_or_default();
         own.write()?;
         Ok(own)
     }
@@ -91,10 +74,6 @@ impl SavedSides {
     }
 
     fn write(&self) -> Result<(), CalibrationError> {
-        let Some(path) = &self.path else { return Ok(()) };
-        let bytes = serde_json::to_vec(self).map_err(|e| CalibrationError::Setup(e.to_string()))?;
-        fill_atomically(path, |mut file, _| {
-            Ok(file.write_all(&bytes).map_err(FmiError::io("write", path))?)
-        })
+        self.path.as_deref().map_or(Ok(()), |path| saved_file::write(path, self))
     }
 }

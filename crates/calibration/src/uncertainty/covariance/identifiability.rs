@@ -145,13 +145,13 @@ impl Uncertainty {
     /// Finds the combination of parameters that the data determine worst, from the singular values of the
     /// Jacobian with columns of unit length. The `triangle` is the triangle of the Jacobian.
     fn find_weakest(&mut self, triangle: &DMatrix<f64>, free: &[usize]) {
-        let reported: Vec<usize> =
+        let determined: Vec<usize> =
             (0..free.len()).filter(|k| !self.undetermined.contains(&free[*k])).collect();
-        let p = reported.len();
+        let p = determined.len();
         if p < 3 || triangle.nrows() < p {
             return;
         }
-        let mut columns = triangle.select_columns(&reported);
+        let mut columns = triangle.select_columns(&determined);
         columns.column_iter_mut().for_each(|mut column| {
             column.try_normalize_mut(0.0);
         });
@@ -164,7 +164,7 @@ impl Uncertainty {
         let part = |a: usize, k: usize| (v_t[(k, a)] / values[k]).powi(2);
         let share = |a: usize| part(a, p - 1) / (0..p).map(|k| part(a, k)).sum::<f64>();
         let weakest: Vec<usize> =
-            (0..p).filter(|a| share(*a) > VARIANCE_SHARE).map(|a| free[reported[a]]).collect();
+            (0..p).filter(|a| share(*a) > VARIANCE_SHARE).map(|a| free[determined[a]]).collect();
         if weakest.len() > 2 {
             self.weakest = weakest;
         }
@@ -232,9 +232,9 @@ impl Uncertainty {
 
     /// Returns findings about parameters that the data do not determine.
     pub(crate) fn undetermined_findings(&self) -> Vec<Finding> {
-        let mut reported = Vec::new();
+        let mut findings = Vec::new();
         let mut find = |id, names: String, sentence: String, remedy: &str| {
-            reported.push(Finding::warning(id, names, sentence, remedy).of(Origin::Search));
+            findings.push(Finding::warning(id, names, sentence, remedy).of(Origin::Search));
         };
         if self.degrees_of_freedom == 0.0 && self.held.len() < self.n() {
             let sentence =
@@ -290,7 +290,7 @@ impl Uncertainty {
                 remedy.unwrap_or("Fix all but one, or combine them"),
             ),
         }
-        reported
+        findings
     }
 
     /// Returns findings about pairs with a high correlation. Each reports which combination of the pair is
@@ -433,9 +433,9 @@ impl Uncertainty {
 
     /// Returns all findings.
     pub(crate) fn all_findings(&self, f_tol: f64) -> Vec<Finding> {
-        let mut reported = self.undetermined_findings();
+        let mut findings = self.undetermined_findings();
         let mut note = |id, subject: String, sentence: String, remedy: &str| {
-            reported.push(Finding::note(id, subject, sentence, remedy));
+            findings.push(Finding::note(id, subject, sentence, remedy));
         };
         for i in self.known_from_prior() {
             let name = &self.names[i];
@@ -451,7 +451,7 @@ impl Uncertainty {
             let remedy = "If the standard errors are too large, fix one, or record an experiment that distinguishes them";
             note(FindingId::WeakCombination, names, sentence, remedy);
         }
-        reported.extend(self.confounded_findings());
+        findings.extend(self.confounded_findings());
         for i in (0..self.n()).filter(|i| self.standard_errors[*i].is_finite() && self.size(*i) != 0.0) {
             let error = self.relative_error(i);
             let is_about_zero = self.is_about_zero.get(i).copied().unwrap_or_default();
@@ -462,7 +462,7 @@ impl Uncertainty {
                     "the standard error of {name} is {percent} % of its {of}. The data contain little information about it"
                 );
                 let remedy = "Fix it, add a prior, or record more data";
-                reported.push(Finding::warning(FindingId::LargeStandardError, name, sentence, remedy));
+                findings.push(Finding::warning(FindingId::LargeStandardError, name, sentence, remedy));
             }
         }
         let n_free = self.n() - self.held.len();
@@ -484,25 +484,25 @@ impl Uncertainty {
                     "",
                 ),
             };
-            reported.push(Finding::new(severity, FindingId::IdentifiableParameters, "", sentence, remedy));
+            findings.push(Finding::new(severity, FindingId::IdentifiableParameters, "", sentence, remedy));
         }
         if self.is_exact {
             let sentence = "the measurements are reproduced to the accuracy of the simulations. Standard errors are then meaningless";
-            reported.push(Finding::note(FindingId::ExactMeasurements, "measurements", sentence, ""));
+            findings.push(Finding::note(FindingId::ExactMeasurements, "measurements", sentence, ""));
         }
         if !self.is_exact {
-            reported.extend(ResidualCheck::all_findings(&self.residual_checks, self.has_loss, true));
-            reported.extend(self.lack_of_fit.and_then(|test| test.finding()));
-            reported.extend(self.correction());
+            findings.extend(ResidualCheck::all_findings(&self.residual_checks, self.has_loss, true));
+            findings.extend(self.lack_of_fit.and_then(|test| test.finding()));
+            findings.extend(self.correction());
         }
-        reported.extend(self.accuracy_finding(f_tol));
-        reported.extend(self.rough_cost());
-        reported.extend(self.not_at_minimum());
-        reported.extend(self.prior_conflicts.iter().map(|c| c.finding(&self.names[c.parameter])));
+        findings.extend(self.accuracy_finding(f_tol));
+        findings.extend(self.rough_cost());
+        findings.extend(self.not_at_minimum());
+        findings.extend(self.prior_conflicts.iter().map(|c| c.finding(&self.names[c.parameter])));
         // Findings about the parameters themselves explain the others.
-        let rest = reported.iter_mut().filter(|finding| finding.origin == Origin::Problem);
+        let rest = findings.iter_mut().filter(|finding| finding.origin == Origin::Problem);
         rest.for_each(|finding| finding.origin = Origin::Residuals);
-        reported
+        findings
     }
 }
 

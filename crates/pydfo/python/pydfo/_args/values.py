@@ -33,6 +33,14 @@ def optional_number(name: str, value: SupportsFloat | SupportsIndex | None) -> f
     return None if value is None else number(name, value)
 
 
+def quantiles(level: SupportsFloat | SupportsIndex) -> tuple[float, float]:
+    """Returns the probabilities at the ends of a central interval, after a check of its level."""
+    part = number("level", level)
+    if not 0.0 < part < 1.0:
+        raise ValueError(f"level is {part:g}; it must be between 0 and 1")
+    return 0.5 - 0.5 * part, 0.5 + 0.5 * part
+
+
 def flag(name: str, value: object) -> bool:
     """Returns the argument `name`, which must be True or False (or 1 or 0)."""
     if isinstance(value, bool):

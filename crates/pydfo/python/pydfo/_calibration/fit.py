@@ -16,13 +16,17 @@ from .._args import values as _values
 from .._args.keywords import also_called, explained
 from .._model.trajectory import SimulationStats
 from .._optimize.result import OptimizeResult
+from . import bootstrap as _bootstrap
 from . import export as _export
+from . import goodness as _goodness
 from . import posterior as _posterior
 from . import profile as _profile
 from . import validation as _validation
+from .bootstrap import Bootstrap
 from .check import Finding
 from .experiment import Experiment
 from .export import PathLike
+from .goodness import Comparison, Goodness
 from .posterior import Posterior
 from .profile import Profile
 from .stages import Windows
@@ -77,82 +81,6 @@ class FitNoise(NamedTuple):
     """Number of searches."""
     settled: bool
     """True if the residuals of the last search confirm the estimates to 1 %."""
-
-
-class Goodness(NamedTuple):
-    """Statistics of the residuals of a fit, with the names and definitions of lmfit.
-
-    The residuals are those of the measurements, with the weights of the calibration and without a loss. The criteria
-    assume independent normal errors of one variance, up to the weights.
-    """
-
-    ndata: int
-    """Number of measurements N that count."""
-    nvarys: int
-    """Number of fitted parameters k, including parameters at a bound."""
-    nfree: int
-    """Degrees of freedom: ``ndata - nvarys``."""
-    chisqr: float
-    """Chi-square: the sum of the squared weighted residuals."""
-    redchi: float
-    """Reduced chi-square: ``chisqr / max(1, nfree)``. About 1 if the model is right and the weights are 1/sigma."""
-    aic: float
-    """Akaike's information criterion: ``N ln(chisqr / N) + 2 k``."""
-    aicc: float
-    """``aic + 2 k (k + 1) / (N - k - 1)``, for few measurements (Hurvich and Tsai, Biometrika 76, 1989)."""
-    bic: float
-    """Bayesian information criterion: ``N ln(chisqr / N) + k ln N``."""
-    p_value: float | None
-    """Probability of a larger chi-square by chance. None if the noise is not known (`sigma`)."""
-
-
-class Comparison(NamedTuple):
-    """Comparison of two fits to the same measurements. ``print`` shows a table."""
-
-    goodness: tuple[Goodness, Goodness]
-    """Statistics of the two fits."""
-    f: float | None
-    """F statistic of the additional parameters of the larger model; None if both have the same number."""
-    p_value: float | None
-    """Probability of a larger F if the smaller model is right, for nested models."""
-    text: str
-    """The table."""
-
-    def __str__(self) -> str:
-        return self.text
-
-
-class Bootstrap(NamedTuple):
-    """Fits to synthetic measurements. ``print`` shows a table."""
-
-    names: list[str]
-    """Names of the parameters."""
-    x: FloatArray
-    """Values of the original fit."""
-    samples: FloatArray
-    """Fitted values, one row per fit, without failed fits."""
-    n_failed: int
-    """Number of fits that failed."""
-    kind: str
-    """Source of the synthetic errors."""
-    seed: int
-    """Seed of the random numbers."""
-    text: str
-    """The table."""
-
-    @property
-    def stderr(self) -> FloatArray:
-        """Standard deviation of each parameter."""
-        found: FloatArray = np.std(self.samples, axis=0, ddof=1)
-        return found
-
-    def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
-        """Returns the percentile interval of each parameter by name."""
-        low, high = np.quantile(self.samples, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0).tolist()
-        return dict(zip(self.names, zip(low, high)))
-
-    def __str__(self) -> str:
-        return self.text
 
 
 class ChosenTolerance(NamedTuple):
@@ -358,7 +286,7 @@ class Fit(OptimizeResult):
     @property
     def goodness(self) -> Goodness:
         """Chi-square and information criteria at the fitted values: ``fit.goodness.redchi``."""
-        return Goodness(**_export.native_of(self).goodness())
+        return _goodness.of_fit(self)
 
     @property
     def chisqr(self) -> float:
@@ -385,8 +313,8 @@ class Fit(OptimizeResult):
         self,
         n: SupportsFloat = 200,
         kind: Literal["parametric", "residual", "block"] = "parametric",
-        seed: SupportsFloat = 0,
-        workers: SupportsFloat | None = None,
+        rng: int | np.random.Generator | None = None,
+        workers: SupportsIndex | None = None,
     ) -> Bootstrap:
         """Fits synthetic measurements, the simulation of this fit plus random errors.
 
@@ -401,10 +329,11 @@ class Fit(OptimizeResult):
             Errors: "parametric", normal with the known noise, or with the standard deviation of the residuals of each
             output; "residual", residuals of the output drawn with replacement; "block", blocks of ``N**(1/3)``
             consecutive residuals, for autocorrelated errors.
-        seed : int
-            Seed of the random numbers. The result depends on the seed, not on the number of workers.
+        rng : int or numpy.random.Generator, optional
+            Seed of the random numbers, or a generator from which to draw the seed; None draws one. The result stores
+            the seed in ``seed``.
         workers : int, optional
-            Number of fits that run at once; default: all cores.
+            Number of fits that run at once; default: all cores. The result does not depend on it.
 
         Returns
         -------
@@ -416,15 +345,7 @@ class Fit(OptimizeResult):
         ValueError
             The fit did not minimise a sum of squares, or there are no more measurements than parameters.
         """
-        record, text = _export.native_of(self).bootstrap(
-            _values.limit("n", n, 1) or 0,
-            _values.choice("kind", kind),
-            _values.limit("seed", seed, 0) or 0,
-            _values.limit("workers", workers, 1),
-        )
-        return Bootstrap(
-            record["names"], np.array(record["x"]), np.array(record["samples"]), record["n_failed"], kind, record["seed"], text
-        )
+        return _bootstrap.of_fit(self, n, kind, rng, workers)
 
     def compare(self, other: Fit) -> Comparison:
         """Compares this fit with a fit of another model to the same measurements.
@@ -447,9 +368,7 @@ class Fit(OptimizeResult):
         ValueError
             The fits have different measurements.
         """
-        found, text = _export.native_of(self).compare(_export.native_of(other))
-        first, second = (Goodness(**own) for own in found["fits"])
-        return Comparison((first, second), found["f"], found["p_value"], text)
+        return _goodness.compare(self, other)
 
     @explained
     def simulate(
@@ -609,6 +528,7 @@ class Fit(OptimizeResult):
         """
         return _profile.of_fit(self, parameters, level, corrected, max_points, workers, checkpoint)
 
+    @explained
     def sample(
         self,
         steps: SupportsFloat = 1000,

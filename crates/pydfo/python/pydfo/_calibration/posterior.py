@@ -97,10 +97,7 @@ class Posterior:
         ValueError
             The level is not between 0 and 1.
         """
-        part = _values.number("level", level)
-        if not 0.0 < part < 1.0:
-            raise ValueError(f"level is {part:g}; it must be between 0 and 1")
-        ends = (0.5 - 0.5 * part, 0.5 + 0.5 * part)
+        ends = _values.quantiles(level)
         return {name: (float(low), float(high)) for name, (low, high) in ((n, np.quantile(d, ends)) for n, d in self.draws.items())}
 
     def __repr__(self) -> str:
