@@ -20,4 +20,4 @@ pub(crate) use context_poller::{ContextPoller, StopCause};
 pub use evaluator::{CutoffUse, Evaluator, PollResult, Wait};
 pub(crate) use speculative_evaluations::Reached;
 pub(crate) use speculative_evaluations::SpeculativeEvaluations;
-pub(crate) use threads::{MOST_WORKERS, OnCallingThread, Shared, Threads, pool};
+pub(crate) use threads::{MOST_WORKERS, OnCallingThread, Shared, pools};

@@ -1,11 +1,10 @@
-//! Evaluation of the points of a run in a separate thread pool with one queue.
+//! Evaluation of the points of a run in a thread pools of the run's own with one queue.
 
 use super::evaluator::{CutoffUse, Evaluator, PollResult, Wait, call, cutoff_use};
 use super::timing::Timing;
 use crate::outcome::answer::Answer;
 use crate::problem::objective::{CancelSignals, Objective, Query};
-use rayon::{ScopeFifo, ThreadBuilder, ThreadPool, ThreadPoolBuilder};
-use std::cell::Cell;
+use rayon::{ThreadBuilder, ThreadPool, ThreadPoolBuilder};
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -20,14 +19,14 @@ pub(crate) const MOST_WORKERS: usize = 1 << 15;
 /// Stack size of a worker thread in bytes. Compiled models put large arrays on the stack.
 const STACK_SIZE: usize = 16 << 20;
 
+/// Maximum number of threads in one pool of rayon. A thread without work searches the queues of all others
+/// in its pool before it sleeps. With 1000 threads in one pool, a run takes 1.6 to 2.5 times as long as with
+/// plain threads (`benches/thousand.rs`).
+const MOST_IN_POOL: usize = 64;
+
 /// Time during which only the calling thread evaluates the first points, to measure whether handing
 /// over evaluations is worthwhile.
 const TRIAL: Duration = Duration::from_micros(100);
-
-thread_local! {
-    /// True while a thread of a pool is evaluating.
-    static EVALUATES: Cell<bool> = const { Cell::new(false) };
-}
 
 /// A point with its query and answer, passed to a thread and back.
 #[derive(Debug)]
@@ -47,28 +46,34 @@ struct Queue {
     jobs: VecDeque<Job>,
     /// Time before which no job starts.
     opens: Option<Instant>,
-    /// Number of pool tasks. Each task processes jobs until the queue is empty.
-    n_tasks: usize,
-    /// True if the calling thread also evaluates.
-    is_joined: bool,
+    /// Number of evaluations that are running, including one on the calling thread.
+    n_running: usize,
+    /// True when the run ends.
+    is_closed: bool,
 }
 
 /// Starts the threads of a run, which end before the scope `run` does. Starts fewer threads if the system
-/// refuses the requested number. `None` if the system refuses all threads.
-pub(crate) fn pool<'scope>(run: &'scope Scope<'scope, '_>, workers: usize) -> Option<ThreadPool> {
+/// refuses the requested number.
+pub(crate) fn pools<'scope>(run: &'scope Scope<'scope, '_>, workers: usize) -> Vec<ThreadPool> {
     let spawn = |thread: ThreadBuilder| {
         let name = format!("dfo-worker-{}", thread.index());
         Builder::new().name(name).stack_size(STACK_SIZE).spawn_scoped(run, || thread.run()).map(drop)
     };
-    let mut n = workers;
-    while n > 0 {
-        match ThreadPoolBuilder::new().num_threads(n).spawn_handler(spawn).build() {
-            Ok(pool) => return Some(pool),
-            Err(e) => log::warn!("cannot start {n} worker threads: {e}; trying {}", n / 2),
+    let (mut pools, mut left, mut size) = (Vec::new(), workers, MOST_IN_POOL);
+    while left > 0 && size > 0 {
+        size = size.min(left);
+        match ThreadPoolBuilder::new().num_threads(size).spawn_handler(spawn).build() {
+            Ok(pool) => {
+                pools.push(pool);
+                left -= size;
+            }
+            Err(e) => {
+                log::warn!("cannot start {left} of {workers} worker threads: {e}");
+                size /= 2;
+            }
         }
-        n /= 2;
     }
-    None
+    pools
 }
 
 /// State shared by the threads of a run.
@@ -77,12 +82,34 @@ pub(crate) struct Shared<'a> {
     signals: CancelSignals<'a>,
     workers: usize,
     queue: Mutex<Queue>,
-    opened: Condvar,
+    /// Notified when a job may have become ready.
+    ready: Condvar,
+    answered: Sender<Job>,
 }
 
 impl<'a> Shared<'a> {
-    pub(crate) fn new(objective: &'a dyn Objective, signals: CancelSignals<'a>, workers: usize) -> Self {
-        Self { objective, signals, workers, queue: Mutex::default(), opened: Condvar::new() }
+    /// Evaluates on the threads of `pools` while `go` runs on the calling thread.
+    pub(crate) fn run<T>(
+        pools: &[ThreadPool],
+        objective: &'a dyn Objective,
+        signals: CancelSignals<'a>,
+        here: OnCallingThread,
+        go: impl FnOnce(&mut Threads<'_>) -> T,
+    ) -> T {
+        let workers = pools.iter().map(ThreadPool::current_num_threads).sum();
+        let (answered, receiver) = channel();
+        let (queue, ready) = (Mutex::default(), Condvar::new());
+        let shared = Self { objective, signals, workers, queue, ready, answered };
+        shared.on_all(pools, Box::new(|| go(&mut Threads::new(&shared, receiver, here))))
+    }
+
+    /// Starts [`work`](Self::work) on all threads of `pools`, then runs `go` on the calling thread.
+    fn on_all<T>(&self, pools: &[ThreadPool], go: Box<dyn FnOnce() -> T + '_>) -> T {
+        let Some((first, others)) = pools.split_first() else { return go() };
+        first.in_place_scope(|scope| {
+            scope.spawn_broadcast(|_, _| self.work());
+            self.on_all(others, go)
+        })
     }
 
     /// Locks the queue. The queue is consistent at every instant, so poisoning by a panic is ignored.
@@ -90,29 +117,32 @@ impl<'a> Shared<'a> {
         self.queue.lock().unwrap_or_else(|e| e.into_inner())
     }
 
-    /// Waits until the queue is open and returns the next job. `None` ends the calling task.
-    fn next(&self) -> Option<Job> {
+    /// Waits for the next job. `is_done` is true if the thread has just finished a job. `None` when the run
+    /// ends.
+    fn next(&self, is_done: bool) -> Option<Job> {
         let mut queue = self.queue();
-        loop {
-            let early = queue.opens.map(|opens| opens.saturating_duration_since(Instant::now()));
-            let Some(left) = early.filter(|left| !left.is_zero() && !queue.jobs.is_empty()) else {
-                let job = queue.jobs.pop_front();
-                queue.n_tasks -= usize::from(job.is_none());
-                return job;
+        queue.n_running -= usize::from(is_done);
+        while !queue.is_closed {
+            let left = queue.opens.map(|opens| opens.saturating_duration_since(Instant::now()));
+            let is_free = !queue.jobs.is_empty() && queue.n_running < self.workers;
+            queue = match left.filter(|left| !left.is_zero()) {
+                Some(left) if is_free => {
+                    self.ready.wait_timeout(queue, left).unwrap_or_else(|e| e.into_inner()).0
+                }
+                None if is_free => {
+                    queue.n_running += 1;
+                    return queue.jobs.pop_front();
+                }
+                _ => self.ready.wait(queue).unwrap_or_else(|e| e.into_inner()),
             };
-            queue = self.opened.wait_timeout(queue, left).unwrap_or_else(|e| e.into_inner()).0;
         }
+        None
     }
 
-    /// Runs one task of the pool. If an objective waits for rayon tasks, rayon may start this task within
-    /// another evaluation. The task then ends immediately, because a job would otherwise use the thread-local
-    /// state of that evaluation.
-    fn work(&self, sender: &Sender<Job>) {
-        if EVALUATES.replace(true) {
-            self.queue().n_tasks -= 1;
-            return;
-        }
-        while let Some(mut job) = self.next() {
+    /// Evaluates jobs until the run ends.
+    fn work(&self) {
+        let mut next = self.next(false);
+        while let Some(mut job) = next {
             let Job { x, query, answer, over, .. } = &mut job;
             if over.load(Ordering::Relaxed) {
                 answer.clear();
@@ -120,9 +150,9 @@ impl<'a> Shared<'a> {
                 call(self.objective, x, &query.ended_by(self.signals.with_own_flag(over)), answer);
             }
             // The receiver is dropped only while the calling thread unwinds.
-            let _ = sender.send(job);
+            let _ = self.answered.send(job);
+            next = self.next(true);
         }
-        EVALUATES.set(false);
     }
 }
 
@@ -136,9 +166,8 @@ pub(crate) enum OnCallingThread {
     AtFirst,
 }
 
-/// Threads of a run, which work within a scope of their pool.
-pub(crate) struct Threads<'s, 'e> {
-    scope: &'s ScopeFifo<'e>,
+/// Threads of a run.
+pub(crate) struct Threads<'e> {
     shared: &'e Shared<'e>,
     here: OnCallingThread,
     timing: Timing,
@@ -147,15 +176,13 @@ pub(crate) struct Threads<'s, 'e> {
     /// Jobs handed to the threads: id and cancel flag.
     away: Vec<(u64, Arc<AtomicBool>)>,
     spare: Vec<Job>,
-    sender: Sender<Job>,
     receiver: Receiver<Job>,
 }
 
-impl<'s, 'e> Threads<'s, 'e> {
-    pub(crate) fn new(scope: &'s ScopeFifo<'e>, shared: &'e Shared<'e>, here: OnCallingThread) -> Self {
-        let (sender, receiver) = channel();
+impl<'e> Threads<'e> {
+    fn new(shared: &'e Shared<'e>, receiver: Receiver<Job>, here: OnCallingThread) -> Self {
         let (waiting, away, spare) = (VecDeque::new(), Vec::new(), Vec::new());
-        Self { scope, shared, here, timing: Timing::new(), waiting, away, spare, sender, receiver }
+        Self { shared, here, timing: Timing::new(), waiting, away, spare, receiver }
     }
 
     /// Hands all waiting jobs to the threads. No job starts before `opens`.
@@ -163,6 +190,7 @@ impl<'s, 'e> Threads<'s, 'e> {
         if self.waiting.is_empty() {
             return;
         }
+        let n = self.waiting.len();
         let mut queue = self.shared.queue();
         queue.opens = opens;
         let now = Instant::now();
@@ -174,33 +202,24 @@ impl<'s, 'e> Threads<'s, 'e> {
             self.away.push((job.query.id, Arc::clone(&job.over)));
             queue.jobs.push_back(job);
         }
-        self.start_tasks(queue);
+        drop(queue);
+        (0..n).for_each(|_| self.shared.ready.notify_one());
     }
 
-    /// Opens the queue for the threads. With `all`, takes back the jobs that have not started.
+    /// Opens the queue for the threads after the calling thread has evaluated. With `all`, takes back the
+    /// jobs that have not started.
     fn take_back(&mut self, all: bool) {
         let mut queue = self.shared.queue();
-        (queue.opens, queue.is_joined) = (None, false);
+        queue.opens = None;
+        queue.n_running -= 1;
         if all {
             for job in queue.jobs.drain(..) {
                 self.away.retain(|(id, _)| *id != job.query.id);
                 self.waiting.push_back(job);
             }
         }
-        self.start_tasks(queue);
-        self.shared.opened.notify_all();
-    }
-
-    /// Starts tasks for the waiting jobs. At most `workers` evaluations run at once.
-    fn start_tasks(&self, mut queue: MutexGuard<'_, Queue>) {
-        let busy = queue.n_tasks + usize::from(queue.is_joined);
-        let n = self.shared.workers.saturating_sub(busy).min(queue.jobs.len());
-        queue.n_tasks += n;
         drop(queue);
-        for _ in 0..n {
-            let (shared, sender) = (self.shared, self.sender.clone());
-            self.scope.spawn_fifo(move |_| shared.work(&sender));
-        }
+        self.shared.ready.notify_all();
     }
 
     /// Evaluates a point on the calling thread.
@@ -231,7 +250,7 @@ impl<'s, 'e> Threads<'s, 'e> {
     }
 }
 
-impl Evaluator for Threads<'_, '_> {
+impl Evaluator for Threads<'_> {
     fn submit(&mut self, x: &[f64], query: Query<'static>) {
         let mut job = self.spare.pop().unwrap_or_else(|| Job {
             x: Vec::new(),
@@ -257,7 +276,7 @@ impl Evaluator for Threads<'_, '_> {
                 let Some(first) = self.waiting.pop_front() else { return PollResult::Idle };
                 let is_trial = self.timing.is_long().is_none() && !self.waiting.is_empty();
                 if is_trial {
-                    self.shared.queue().is_joined = true;
+                    self.shared.queue().n_running += 1;
                     self.hand_over(Some(Instant::now() + TRIAL));
                 }
                 let polled = self.evaluate(first, wait, answer);
@@ -305,11 +324,11 @@ impl Evaluator for Threads<'_, '_> {
     }
 }
 
-impl Drop for Threads<'_, '_> {
+impl Drop for Threads<'_> {
     /// Cancels running evaluations, because the scope waits for them even if the calling thread panics.
     fn drop(&mut self) {
-        self.shared.queue().jobs.clear();
+        self.shared.queue().is_closed = true;
         self.away.iter().for_each(|(_, over)| over.store(true, Ordering::Relaxed));
-        self.shared.opened.notify_all();
+        self.shared.ready.notify_all();
     }
 }

@@ -3,7 +3,7 @@
 use crate::error::Error;
 use crate::evaluation::{
     BatchFunction, BatchView, Batches, CallingThread, ContextPoller, CutoffUse, Evaluator, OnCallingThread,
-    Shared, Threads, pool,
+    Shared, pools,
 };
 use crate::method_interface::interface::{Method, MethodOptions};
 use crate::method_interface::tolerances::{Limits, Tolerances};
@@ -184,12 +184,9 @@ impl<'a> ByRun<'a> {
         };
         let mut report = match &mut source {
             Source::Objective(objective) if workers == 1 => go(&mut CallingThread::new(&**objective)),
-            Source::Objective(objective) => std::thread::scope(|run| match pool(run, workers) {
-                Some(pool) => {
-                    let shared = Shared::new(&**objective, signals, pool.current_num_threads());
-                    pool.in_place_scope_fifo(|scope| go(&mut Threads::new(scope, &shared, here)))
-                }
-                None => go(&mut CallingThread::new(&**objective)),
+            Source::Objective(objective) => std::thread::scope(|run| match &pools(run, workers)[..] {
+                [] => go(&mut CallingThread::new(&**objective)),
+                pools => Shared::run(pools, &**objective, signals, here, |threads| go(threads)),
             }),
             Source::Batches(function) => go(&mut Batches::new(function.as_mut(), workers, cutoff_use)),
             Source::Evaluator(evaluator) => go(evaluator),
