@@ -230,7 +230,7 @@ fn layout(problem: &Problem, simulations: &[Simulation], elements: &[Element]) -
             residuals.variable = measured.variable.clone();
             residuals.column = measured.column.clone();
             let is_own = |(state, initial): &(String, InitialState)| {
-                *state == residuals.variable && *initial == InitialState::Measured
+                initial.measured_output(state) == Some(&*residuals.variable)
             };
             residuals.is_noise_known = experiment.outputs[residuals.output].weight.is_known_noise();
             residuals.starts_simulation = experiment.initial_states.iter().any(is_own)

@@ -141,7 +141,7 @@ impl Simulation {
     pub(crate) fn keep_start(&self, experiment: &mut Experiment) {
         experiment.start_time = experiment.start_time.or(experiment.warm_up.and(self.options.start_time));
         for (state, initial) in &mut experiment.initial_states {
-            if *initial == InitialState::Measured
+            if initial.measured_output(state).is_some()
                 && let Some((_, Value::Real(value))) =
                     self.options.start_values.iter().find(|(name, _)| name == state)
             {
@@ -315,7 +315,10 @@ fn initial_states(
         let variable = description.variable(name).or_else(|| description.variable(array));
         variable.is_some_and(|v| matches!(v.causality, Causality::Local | Causality::Output))
     };
-    let given = experiment.initial_states.iter().filter(is_required).map(|(name, _)| name);
+    let given = experiment.initial_states.iter().filter(is_required);
+    let given =
+        given.filter(|(name, initial)| !matches!(initial, InitialState::MeasuredBy(_)) || is_state(&name));
+    let given = given.map(|(name, _)| name);
     let mut names: Vec<String> = given.chain(fitted.iter().filter(is_state)).cloned().collect();
     names.sort_unstable();
     names.dedup();

@@ -242,12 +242,12 @@ pub(crate) fn initial_values(
             InitialState::Value(value) => {
                 return setup(format!("initial state '{state}' = {} must be finite", Number(*value)));
             }
-            InitialState::Measured => {
-                let Some(output) = experiment.outputs.iter().position(|output| output.variable == *state)
-                else {
+            InitialState::Measured | InitialState::MeasuredBy(_) => {
+                let by = initial.measured_output(state).unwrap_or(state);
+                let Some(output) = experiment.outputs.iter().position(|output| output.variable == by) else {
                     return setup(format!(
-                        "initial state '{state}' is 'measured', but no column is compared with '{state}'. Add its column to the \
-                         outputs, or use a number or a parameter"
+                        "initial state '{state}' is 'measured', but no column is compared with '{by}'. Add its column to the outputs, \
+                         or use a number or a parameter"
                     ));
                 };
                 let Shifts { delay, factor, offset } = assigned.outputs[output];

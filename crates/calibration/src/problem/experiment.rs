@@ -51,9 +51,43 @@ pub enum InitialState {
     /// interpolated linearly between the rows, without the offset and the delay of the output. It is an error
     /// if the column starts later or has a gap there.
     Measured,
+    /// The value of the column that is compared with this output, at the start of the simulation, as for
+    /// [`Measured`](Self::Measured). Use it for the parameter of the model that is the start value of the
+    /// output. It must have the unit of the output.
+    MeasuredBy(String),
     /// A value fitted in this experiment, with the start and bounds of this parameter. The name of the
     /// parameter is ignored.
     Fitted(Box<Parameter>),
+}
+
+impl InitialState {
+    /// Returns the initial state of a word: `measured`, or `measured:` and the name of an output.
+    ///
+    /// # Errors
+    /// Returns an error for any other word.
+    pub fn named(state: &str, word: &str) -> Result<Self, CalibrationError> {
+        let (keyword, output) =
+            word.split_once(':').map_or((word, None), |(word, of)| (word, Some(of.trim())));
+        match output {
+            _ if !keyword.trim().eq_ignore_ascii_case("measured") => {}
+            None => return Ok(Self::Measured),
+            Some("") => {}
+            Some(output) => return Ok(Self::MeasuredBy(output.to_owned())),
+        }
+        Err(CalibrationError::Setup(format!(
+            "initial_states: '{state}' = '{word}' must be a number, 'measured', 'measured:' and the name of an output, or a parameter \
+             with start, lower and upper"
+        )))
+    }
+
+    /// Returns the output whose column has the value of this variable.
+    pub(crate) fn measured_output<'a>(&'a self, variable: &'a str) -> Option<&'a str> {
+        match self {
+            Self::Measured => Some(variable),
+            Self::MeasuredBy(output) => Some(output),
+            Self::Value(_) | Self::Fitted(_) => None,
+        }
+    }
 }
 
 impl From<f64> for InitialState {

@@ -44,7 +44,8 @@ pub struct ExperimentRecord {
     /// Values of other parameters and start values of variables, or the path of an SSP parameter file (.ssv).
     #[cfg_attr(feature = "schema", schemars(with = "StartValues"))]
     start_values: Value,
-    /// Initial values of states: a number, `measured`, or a parameter of this experiment only.
+    /// Initial values of states: a number, `measured`, `measured:` and the name of an output, or a parameter
+    /// of this experiment only.
     #[cfg_attr(feature = "schema", schemars(with = "Pairs<NumberOr<InitialStateRecord>>"))]
     initial_states: Value,
     /// Windows in which measurements count, each from and to, in s.
@@ -78,7 +79,8 @@ impl Experiment {
     ///   It replaces the weight, see [`Weight::Sigma`];
     /// - `inputs`: the column of a variable, its constant value, or a column whose values are held between
     ///   the rows: `{ column = "u", hold = true }`;
-    /// - `initial_states`: a number, `measured`, or the record of a parameter;
+    /// - `initial_states`: a number, `measured`, `measured:` and the name of an output, or the record of a
+    ///   parameter;
     /// - `start_values`: a value for each variable, or the path of an SSP parameter file;
     /// - `name`, `windows`, `warm_up`, `start_time`, `delays`, `hold_inputs`.
     ///
@@ -226,7 +228,7 @@ fn of_output<'w>(
 
 fn initial_state(value: &Value, state: &str) -> Result<InitialState, CalibrationError> {
     match value {
-        Value::Text(word) if word.eq_ignore_ascii_case("measured") => Ok(InitialState::Measured),
+        Value::Text(word) => InitialState::named(state, word),
         Value::Record(fields) => {
             let mut fields = fields.clone();
             // The name is ignored, but a parameter requires one.

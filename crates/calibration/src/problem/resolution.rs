@@ -3,6 +3,7 @@
 
 use crate::data::find_column;
 use crate::error::CalibrationError;
+use crate::problem::column_units::declared;
 use crate::problem::experiment::{Experiment, InitialState, Measured};
 use crate::problem::parameter::{Parameter, Target};
 use base::Number;
@@ -161,7 +162,10 @@ pub(crate) fn check_names(
         }
     }
     for (i, (state, initial)) in experiment.initial_states.iter().enumerate() {
-        check_state(state, description)?;
+        match initial {
+            InitialState::MeasuredBy(output) => check_same_unit(state, output, description)?,
+            _ => check_state(state, description)?,
+        }
         let same = |name: &String| is_same(description, name, state);
         if experiment.initial_states[..i].iter().any(|(name, _)| same(name)) {
             return setup(format!("initial state '{state}' is set twice"));
@@ -192,6 +196,21 @@ pub(crate) fn states(description: &ModelDescription) -> Vec<&String> {
         description.variables[index].derivative.map(|state| &description.variables[state].name)
     };
     description.structure.derivatives.iter().filter_map(|derivative| state(derivative.index)).collect()
+}
+
+/// Returns an error if an output that provides the start value of a variable has another unit.
+fn check_same_unit(
+    variable: &str,
+    output: &str,
+    description: &ModelDescription,
+) -> Result<(), CalibrationError> {
+    let unit = |name: &str| declared(description, name).and_then(|declared| declared.unit.as_deref());
+    match (unit(variable), unit(output)) {
+        (Some(own), Some(other)) if own != other => Err(CalibrationError::Setup(format!(
+            "initial state '{variable}' (in {own}) is 'measured:{output}', but '{output}' is in {other}. Use a number or a parameter"
+        ))),
+        _ => Ok(()),
+    }
 }
 
 /// Rejects names that are not states of the model, as far as the model description identifies states.

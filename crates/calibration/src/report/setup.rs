@@ -123,6 +123,7 @@ fn initial(state: &str, value: &InitialState) -> String {
     match value {
         InitialState::Value(value) => format!("{state} = {}", Number(*value)),
         InitialState::Measured => format!("{state} as measured"),
+        InitialState::MeasuredBy(output) => format!("{state} as measured for {output}"),
         InitialState::Fitted(parameter) => {
             let [start, lower, upper] = [parameter.start(), parameter.lower(), parameter.upper()].map(Number);
             format!("{state} fitted from {start} within {lower} and {upper}")

@@ -93,6 +93,34 @@ fn measured_state_is_rejected_when_no_measurement_exists() {
     assert!(message.contains("the delay of its output is fitted"), "{message}");
 }
 
+/// A parameter of the model gets the first value of a column: k = x(0) = 2. The search for the start of the state begins at 1, and the
+/// fit finds its start value, 2.
+#[test]
+fn measured_output_sets_a_parameter_of_the_model() {
+    let experiment = |by: &str| {
+        let experiment = Experiment::new(recording(|t| 2.0 * (-K * t).exp())).output("x", "x");
+        experiment.initial_state("k", InitialState::named("k", by).unwrap())
+    };
+    let fit = |experiment: Experiment| {
+        let fmu = Fmu::open(example_fmu("dahlquist").unwrap()).unwrap();
+        let start = Parameter::new("x", 1.0).bounds(0.1, 10.0);
+        let builder = Calibration::builder(fmu).experiment(experiment).parameter(start);
+        builder.build()?.fit(FitOptions::default())
+    };
+    let found = fit(experiment("Measured: x")).unwrap();
+    assert!((found.x[0] - 2.0).abs() < 1e-4, "{:?}", found.x);
+    let message = fit(experiment("measured:y")).unwrap_err().to_string();
+    assert!(message.contains("no column is compared with 'y'"), "{message}");
+    for word in ["first", "measured:", "measures:x"] {
+        let message = InitialState::named("k", word).unwrap_err().to_string();
+        assert!(message.contains(&format!("initial_states: 'k' = '{word}' must be")), "{message}");
+    }
+    // A name without a column is a state.
+    let decay = Experiment::new(recording(|t| (-K * t).exp())).output("x", "x");
+    let message = fit(decay.initial_state("k", InitialState::Measured)).unwrap_err().to_string();
+    assert!(message.contains("initial state 'k' is not a state"), "{message}");
+}
+
 /// The noise of the measurement at the start changes the whole simulation. The standard errors must include
 /// it.
 #[test]

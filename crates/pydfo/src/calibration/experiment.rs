@@ -11,7 +11,6 @@ use calibration::{
     CalibrationError, CsvRequest, Data, Experiment, InitialState, OutputScale, Parameter, ParameterSet,
     Series, Sigma, Weight,
 };
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use std::path::PathBuf;
@@ -177,11 +176,8 @@ impl ExperimentFields {
         let state = |(name, state): (String, StateFields)| {
             let state = match state {
                 StateFields::Value(value) => InitialState::Value(value),
-                StateFields::Word(word) if word.eq_ignore_ascii_case("measured") => InitialState::Measured,
                 StateFields::Word(word) => {
-                    return Err(PyValueError::new_err(format!(
-                        "initial_states: '{name}' = '{word}' must be a number, 'measured' or a Parameter"
-                    )));
+                    InitialState::named(&name, &word).map_err(|error| error::calibration(py, &error))?
                 }
                 StateFields::Fitted(fields) => InitialState::from(fields.check(py)?),
             };

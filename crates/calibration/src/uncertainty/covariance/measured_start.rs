@@ -16,7 +16,7 @@ const SHORTEST: f64 = 1e-6;
 pub(crate) struct MeasuredStart {
     /// Index of the experiment, from 0.
     pub(crate) experiment: usize,
-    /// Name of the state.
+    /// Name of the state or the start parameter.
     pub(crate) state: String,
     /// Index of the output that measures it in the residual layout.
     pub(crate) output: usize,
@@ -35,8 +35,8 @@ impl Calibration {
     /// Returns the measured initial states of all experiments. Their changes are not computed yet.
     pub(crate) fn measured_starts(&self, x: &[f64]) -> Vec<MeasuredStart> {
         let outputs = &self.residual_layout().outputs;
-        let of = |k: usize, state: &String| {
-            let is_own = |o: &OutputResiduals| o.experiment == k && o.variable == *state;
+        let of = |k: usize, state: &String, by: &str| {
+            let is_own = |o: &OutputResiduals| o.experiment == k && o.variable == by;
             let output = outputs.iter().position(is_own)?;
             let value = self.evaluator().simulations[k].measured_start(state, x)?;
             let counts = outputs[output].starts_simulation && outputs[output].weights.first() != Some(&0.0);
@@ -48,8 +48,7 @@ impl Calibration {
         };
         let experiments = self.problem().experiments.iter().enumerate();
         let states = experiments.flat_map(|(k, e)| e.initial_states.iter().map(move |state| (k, state)));
-        let measured = states.filter(|(_, (_, initial))| *initial == InitialState::Measured);
-        measured.filter_map(|(k, (state, _))| of(k, state)).collect()
+        states.filter_map(|(k, (state, initial))| of(k, state, initial.measured_output(state)?)).collect()
     }
 
     /// Creates a calibration of the same problem with these starts as numbers, each moved by its step.

@@ -107,7 +107,8 @@ class Experiment:
     initial_states : dict, optional
         Values of states of the model at the start: a number, "measured" or a `Parameter`. "measured" uses the column
         compared with the state, at the start of the simulation, without offset and delay. It is an error if there is
-        no such column. A `Parameter` with start and bounds belongs to this experiment alone. Its name is ignored; it
+        no such column. "measured:T" uses the column compared with the output ``T``. With it, the name may also be a
+        parameter of the model that is the start value of this output, such as ``{"T_start": "measured:T"}``. A `Parameter` with start and bounds belongs to this experiment alone. Its name is ignored; it
         appears as ``x[run1]``. In model exchange, a state computed by the initialization (``initial="approx"``,
         ``"calculated"``) is set after it. In a co-simulation, such a state raises an error if it is fitted or
         measured, and a warning if it is a number.
