@@ -2,6 +2,7 @@
 
 use base::Number;
 use serde::{Deserialize, Serialize};
+use std::fmt;
 
 /// Knowledge of a parameter before the fit.
 ///
@@ -28,6 +29,17 @@ pub enum Prior {
         /// The standard deviation of the natural logarithm: 0.1 is about 10 %.
         sigma: f64,
     },
+}
+
+impl fmt::Display for Prior {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Normal { mean, sd } => write!(f, "prior {} +- {}", Number(mean), Number(sd)),
+            Self::LogNormal { median, sigma } => {
+                write!(f, "log-normal prior {}, sigma {}", Number(median), Number(sigma))
+            }
+        }
+    }
 }
 
 impl Prior {

@@ -145,7 +145,8 @@ fn sentence(fit: &Fit) -> String {
         Some(rms) => format!("at the start {}", rounded(rms, FEW_DIGITS)),
         None => "none at the start".to_owned(),
     };
-    let rms = rounded(fit.rms, FEW_DIGITS);
+    let is_noise_known = fit.uncertainty.as_ref().is_some_and(Uncertainty::is_noise_known);
+    let rms = rounded(fit.rms, FEW_DIGITS) + if is_noise_known { " sigma" } else { "" };
     let counts = match counts(&fit.findings()) {
         counts if counts.is_empty() => String::new(),
         counts => format!(" {counts}."),
@@ -247,6 +248,12 @@ fn parameter(fit: &Fit, i: usize) -> ParameterRow {
         remarks.push("fixed".to_owned());
     } else if let Some(side) = side {
         remarks.push(format!("at its {} bound {}", side.name(), Number(bound(fit, i, side))));
+    }
+    if let Some((_, prior)) = fit.priors.iter().find(|(k, _)| *k == i) {
+        // Both the data and the prior add to the inverse of the variance.
+        let share = (prior.slope(value) * error).powi(2);
+        let share = (share <= 1.0).then(|| format!(", {} % of the information", rounded(100.0 * share, 2)));
+        remarks.push(format!("{prior}{}", share.unwrap_or_default()));
     }
     if fit.without_effect.contains(&i) {
         remarks.push("without effect".to_owned());

@@ -1,6 +1,7 @@
 //! Noise that is estimated together with the parameters, so that priors are weighted correctly.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
+use base::Number;
 use calibration::RunContext;
 use calibration::{
     BandOptions, BootstrapKind, BootstrapOptions, Calibration, CalibrationBuilder, CostKind, Data,
@@ -133,6 +134,11 @@ fn linear_parameter_reaches_its_posterior_mode() {
             let error = fit.uncertainty.as_ref().unwrap().standard_errors[0];
             let of_posterior = (h / bb).sqrt() * found.sd / weight;
             assert!((error / of_posterior).ln().abs() < 0.05, "{error} for {of_posterior}");
+            // The print shows the part of the inverse variance that comes from the prior, 1 - h.
+            let text = fit.to_string();
+            let shown = text.split(&format!("prior {} +- {}, ", Number(mean), Number(sd))).nth(1);
+            let share: f64 = shown.and_then(|rest| rest.split(' ').next()?.parse().ok()).unwrap();
+            assert!((share / (100.0 * (1.0 - h))).ln().abs() < 0.12, "{share} for {h}: {text}");
         }
     }
 }

@@ -97,6 +97,12 @@ impl Calibration {
         job.enter(FitPhase::FreshProcess, &stats);
         let fit = Fit {
             units: parameters.iter().map(unit).collect(),
+            priors: parameters
+                .iter()
+                .enumerate()
+                .filter(|(_, p)| p.lower() < p.upper())
+                .filter_map(|(i, p)| Some((i, *p.known_prior()?)))
+                .collect(),
             bounds: parameters.iter().map(|p| (p.lower(), p.upper())).collect(),
             model: description.model_name.clone(),
             n_measurements: self.n_measurements(),

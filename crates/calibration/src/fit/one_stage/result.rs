@@ -8,6 +8,7 @@ use crate::findings::shown_text::digits;
 use crate::fit::output_fit::OutputFit;
 use crate::fit::phase::PhaseCost;
 use crate::loaded::calibration::Calibration;
+use crate::problem::prior::Prior;
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::preflight::Preflight;
 use crate::uncertainty::result::Uncertainty;
@@ -35,6 +36,9 @@ pub struct Fit {
     pub start: Vec<f64>,
     /// Units of the parameters in the same order, if they are known.
     pub units: Vec<Option<String>>,
+    /// Priors of the parameters that are not fixed, by index.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub priors: Vec<(usize, Prior)>,
     /// Lower and upper bounds of the parameters in the same order. Both are equal for a fixed parameter.
     pub bounds: Vec<(f64, f64)>,
     /// Name of the model.

@@ -132,11 +132,15 @@ impl ResidualCheck {
             );
         }
         if self.has_offset() {
-            let mean = digits(self.mean);
+            let size = match self.deviation {
+                0.0 => "are constant".to_owned(),
+                deviation => format!("have a mean of {} standard deviations", digits(self.mean / deviation)),
+            };
             warn(
                 FindingId::ResidualOffset,
                 format!(
-                    "have the mean {mean} (simulated minus measured). Parameters that compensate for such an offset are wrong"
+                    "{size} (simulated minus measured). Parameters that compensate for such an offset \
+                     are wrong"
                 ),
                 "Check the zero of the sensor, and fit its offset with a parameter that has offset_of",
             );
