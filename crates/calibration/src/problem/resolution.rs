@@ -3,7 +3,6 @@
 
 use crate::data::find_column;
 use crate::error::CalibrationError;
-use crate::problem::column_units::declared;
 use crate::problem::experiment::{Experiment, InitialState, Measured};
 use crate::problem::parameter::{Parameter, Target};
 use base::Number;
@@ -204,7 +203,7 @@ fn check_same_unit(
     output: &str,
     description: &ModelDescription,
 ) -> Result<(), CalibrationError> {
-    let unit = |name: &str| declared(description, name).and_then(|declared| declared.unit.as_deref());
+    let unit = |name: &str| description.variable(name)?.unit.as_deref();
     match (unit(variable), unit(output)) {
         (Some(own), Some(other)) if own != other => Err(CalibrationError::Setup(format!(
             "initial state '{variable}' (in {own}) is 'measured:{output}', but '{output}' is in {other}. Use a number or a parameter"
