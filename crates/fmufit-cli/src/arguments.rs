@@ -457,6 +457,9 @@ pub(crate) struct Report {
     /// The model, if it is no longer at its original path
     #[arg(long, value_name = "MODEL.fmu")]
     pub(crate) model: Option<PathBuf>,
+    /// The recording whose values go into an .ssv file, if a parameter has a value for each recording
+    #[arg(long, value_name = "NAME")]
+    pub(crate) experiment: Option<String>,
 }
 
 #[derive(Debug, Args)]

@@ -246,7 +246,7 @@ MISTAKES = {
     "prior of words": (lambda: Parameter("k", 1.0, prior="normal"), "pydfo.Normal"),
     "initial state unknown": (bad(initial_states={"xx": 1.0}), "xx"),
     "initial state no state": (bad(initial_states={"k": 1.0}), "'k'"),
-    "initial state of words": (bad(initial_states={"x": "first"}), "a number, 'measured' or a Parameter"),
+    "initial state of words": (bad(initial_states={"x": "first"}), "a number, 'measured', 'measured:' and the name of an output"),
     "initial state not measured": (
         lambda: Calibration(
             pydfo.example_fmu("quad_tank"),

@@ -98,7 +98,8 @@ impl Calibration {
                     .collect();
                 let (local, names) = (local.join(", "), names.join("', '"));
                 Err(CalibrationError::Setup(format!(
-                    "each experiment has a separate value of {local}. Specify one, experiment = '{names}'"
+                    "each experiment has a separate value of {local}. Specify one of '{names}' (experiment = in Python, `fmufit report --experiment` \
+                     for a saved fit)"
                 )))
             }
         }

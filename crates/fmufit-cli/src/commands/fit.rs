@@ -72,7 +72,7 @@ pub(crate) fn run(arguments: &arguments::Fit, begin: Begin, console: &Console) -
                 "no report was written after Ctrl-C; use fmufit report to write the report of a saved fit",
             );
         } else {
-            report::write(&fit, &calibration, path, &RunContext::new().asking(&is_asked))?;
+            report::write(&fit, &calibration, path, None, &RunContext::new().asking(&is_asked))?;
             console.note(&format!("wrote {}", path.display()));
         }
     }

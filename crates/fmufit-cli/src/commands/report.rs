@@ -11,6 +11,9 @@ use std::path::Path;
 
 pub(crate) fn run(arguments: &Report, console: &Console) -> Result<Exit, Error> {
     check_suffix(&arguments.output)?;
+    if arguments.experiment.is_some() && suffix(&arguments.output) != "ssv" {
+        return Err(Error::input("--experiment: only .ssv files have the values of one experiment"));
+    }
     check_written([&arguments.output], std::slice::from_ref(&arguments.fit))?;
     let saved = SavedFit::load(&arguments.fit).map_err(Error::of_input)?;
     let calibration = match &arguments.model {
@@ -24,7 +27,8 @@ pub(crate) fn run(arguments: &Report, console: &Console) -> Result<Exit, Error> 
     let interrupt = Interrupt::watch()?;
     let line = console.live_line();
     let shown = || line.show_until(interrupt.is_asked(), "simulating");
-    let written = write(&saved.fit, &calibration, &arguments.output, &RunContext::new().asking(&shown));
+    let (experiment, context) = (arguments.experiment.as_deref(), RunContext::new().asking(&shown));
+    let written = write(&saved.fit, &calibration, &arguments.output, experiment, &context);
     drop(line);
     written?;
     console.result(&format!("wrote {}", arguments.output.display()));
@@ -46,17 +50,18 @@ pub(super) fn check_suffix(path: &Path) -> Result<(), Error> {
     }
 }
 
-/// Writes the file in the format that its suffix determines.
+/// Writes the file in the format that its suffix determines. `experiment` selects the values of an SSP file.
 pub(super) fn write(
     fit: &Fit,
     calibration: &Calibration,
     path: &Path,
+    experiment: Option<&str>,
     context: &RunContext<'_>,
 ) -> Result<(), Error> {
     check_suffix(path)?;
     let written = match suffix(path).as_str() {
         "csv" => fit.write_csv(calibration, path, Table::Parameters, context),
-        "ssv" => fit.export_ssv(calibration, path, None),
+        "ssv" => fit.export_ssv(calibration, path, experiment),
         "json" => {
             let text = fit.to_json(calibration).map_err(Error::of_input)?;
             return base::files::write_atomically(path, text.as_bytes()).map_err(Error::write(path));

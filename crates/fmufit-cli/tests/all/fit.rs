@@ -153,6 +153,20 @@ fn problem_reads_start_values_from_exported_fit() {
 }
 
 #[test]
+fn ssv_report_contains_the_values_of_one_experiment() {
+    let folder =
+        decay("local = true\n[[experiments]]\nname = \"second\"\ndata = \"run.csv\"\noutputs = [\"x\"]\n");
+    folder.run("fit problem.toml --save local.fit --quiet").good();
+    let refused = folder.run("report local.fit all.ssv");
+    assert!(refused.err.contains("Specify one of 'run1', 'second'"), "{refused:?}");
+    folder.run("report local.fit second.ssv --experiment second").good();
+    assert!(folder.read("second.ssv").contains("name=\"k\""));
+    assert!(folder.run("report local.fit a.ssv --experiment third").err.contains("third"));
+    let page = folder.run("report local.fit a.html --experiment second").wrong_input();
+    assert!(page.contains("--experiment: only .ssv"), "{page}");
+}
+
+#[test]
 fn units_missing_in_the_model_can_be_given() {
     let folder = decay("");
     let milli: String = (folder.read("run.csv").lines().skip(1))
