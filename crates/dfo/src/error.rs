@@ -211,6 +211,34 @@ pub enum Error {
         /// Free parameters.
         n: usize,
     },
+    /// A member of an initial population has a coordinate that is not finite or is outside the box.
+    #[error(
+        "initial population: coordinate x[{index}] = {value} of member {member} is outside its bounds \
+         [{lower}, {upper}]", value = Number(*.value), lower = Number(*.lower), upper = Number(*.upper)
+    )]
+    MemberOutside {
+        /// Member, counted from 0.
+        member: usize,
+        /// Parameter, counted from 0.
+        index: usize,
+        /// The coordinate.
+        value: f64,
+        /// Lower bound.
+        lower: f64,
+        /// Upper bound.
+        upper: f64,
+    },
+    /// All members of an initial population have the same value of a free parameter.
+    #[error(
+        "the initial population is flat: x[{index}] = {value} in all members, so the search cannot change \
+         it", value = Number(*.value)
+    )]
+    FlatPopulation {
+        /// Parameter, counted from 0.
+        index: usize,
+        /// Its value in all members.
+        value: f64,
+    },
     /// The checkpoint file cannot be read or written.
     #[error("checkpoint {path}: {message}")]
     CheckpointFile {
@@ -310,7 +338,9 @@ impl Error {
             | Self::NeedsBox { index, .. }
             | Self::StartNotInterior { index, .. }
             | Self::NotContinuous { index, .. }
-            | Self::SimplexOutside { index, .. } => Some(*index),
+            | Self::SimplexOutside { index, .. }
+            | Self::MemberOutside { index, .. }
+            | Self::FlatPopulation { index, .. } => Some(*index),
             _ => None,
         }
     }

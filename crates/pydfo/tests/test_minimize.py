@@ -298,6 +298,7 @@ def test_sizes_scales_and_warm_starts_are_options():
         ("barrier", {"mu": None}),
         ("de", {"population": 30, "sampling": "sobol", "repair": "mirror", "include_start": False, "budget": 500, "lag": 0}),
         ("de", {"p_best": 0.2, "memory": 6, "archive": 1.5, "final_population": 6, "budget": None}),
+        ("de", {"initial_population": np.linspace(-1, 1, 24).reshape(12, 2), "population": 12}),
         ("de-classic", {"strategy": "best1", "crossover": "exponential", "weight": (0.5, 1.0), "probability": 0.7}),
         ("de-classic", {"strategy": "current_to_best1", "weight": 0.6}),
         ("ga", {"population": 20, "selection": 3, "crossover_rate": 0.6, "mutation_rate": 0.02, "elite": 2, "gray": np.True_}),
@@ -315,6 +316,19 @@ def test_options_reach_their_methods(method, options):
         assert np.count_nonzero(res.trace.batch == 0) == options["population"]
     if options.get("batch"):
         assert res.batch == str(options["batch"])
+
+
+@pytest.mark.parametrize("method", ["de", "de-classic"])
+def test_given_first_population_is_evaluated_first_with_any_workers(method):
+    members = np.random.default_rng(1).uniform(-2, 2, (15, 2))
+    runs = [
+        minimize(rosenbrock, **{**RUN, "rng": 1}, method=method, options={"initial_population": members}, max_evaluations=200, workers=workers)
+        for workers in (1, 3)
+    ]
+    for res in runs:
+        path = res.trace.x[res.trace.used]
+        assert path[:15].tolist() == members.tolist() and RUN["x0"] not in path[15:].tolist()
+    assert timeless(runs[0])[:2] == timeless(runs[1])[:2]
 
 
 @pytest.mark.parametrize(
@@ -368,6 +382,14 @@ def test_options_reach_their_methods(method, options):
         ({"popluation": 30}, TypeError, "did you mean options={'population': ...}"),
         ({"options": {"initial_simplex": [0.1, np.nan]}}, ValueError, r"initial_simplex\[1\] = nan must be finite"),
         ({"options": {"initial_simplex": [[0, 0], [1, np.inf], [2, 0]]}}, ValueError, r"initial_simplex\[1, 1\] = inf must be"),
+        ({"method": "de", "options": {"initial_population": "sobol"}}, TypeError, r"must be points of shape \(m, 2\), not 'sobol'"),
+        ({"method": "de", "options": {"initial_population": np.ones(2)}}, ValueError, r"shape \(2,\); expected points of shape \(m, 2\)"),
+        ({"method": "de", "options": {"initial_population": [[0, np.nan]]}}, ValueError, r"initial_population\[0, 1\] = nan must be finite"),
+        ({"method": "de", "options": {"initial_population": np.eye(2)}}, ValueError, "population = 2 must be large enough"),
+        ({"method": "de", "options": {"initial_population": 3 * np.eye(4, 2)}}, ValueError, r"x\[0\] = 3 of member 0 is outside"),
+        ({"method": "de", "options": {"initial_population": np.eye(4, 2)[:, ::-1] * [0, 1]}}, ValueError, r"x\[0\] = 0 in all members"),
+        ({"method": "ga", "options": {"initial_population": np.eye(4, 2)}}, ValueError, "ga has no option 'initial_population'"),
+        ({"options": {"init": "sobol"}}, ValueError, r"use options=\{\"sampling\": ...\} or options=\{\"initial_population\": ...\}"),
         ({"bounds": [(1, 0), (0, 1)]}, ValueError, "lower bound 1 is above"),
         ({"bounds": None, "method": "de"}, ValueError, "de requires finite bounds"),
         ({"x0": None, "bounds": None}, ValueError, "is missing; methods that sample a box require at least bounds"),

@@ -119,6 +119,7 @@ pub(super) fn shape(option: &str) -> Option<serde_json::Value> {
 pub(super) fn described(option: &str) -> Option<&'static str> {
     Some(match option {
         "coefficients" => "'auto', 'standard', 'adaptive', or (reflection, expansion, contraction, shrink)",
+        "initial_population" => "points, each with one number per parameter",
         "initial_simplex" => "steps or vertices",
         "resolution" => "one number per parameter",
         "selection" => "'fitness', or the number of members in a tournament",

@@ -185,6 +185,82 @@ fn result_is_independent_of_number_of_workers() {
     }
 }
 
+/// Returns members on a spiral in the box of `run`.
+fn spiral(members: usize) -> Vec<Vec<f64>> {
+    let member = |k: usize| {
+        let (radius, angle) = (2.0 * (k + 1) as f64 / members as f64, k as f64);
+        vec![radius * angle.cos(), radius * angle.sin()]
+    };
+    (0..members).map(member).collect()
+}
+
+#[test]
+fn given_first_population_is_evaluated_exactly_and_has_equal_results_for_all_workers() {
+    for options in [DifferentialEvolution::default(), DifferentialEvolution::classic()] {
+        let members = spiral(24);
+        let options = options.initial_population(members.clone());
+        let one = run(minimize(probe).start(&[-0.5, 1.0]), &options, 3);
+        let first: Vec<Vec<f64>> = one.trace.iter().filter(|e| e.batch == 0).map(|e| e.x.to_vec()).collect();
+        assert_eq!(first, members);
+        for workers in [2, 7] {
+            let many = run(minimize(probe).start(&[-0.5, 1.0]).workers(workers), &options, 3);
+            assert_eq!(timeless(&many.trace), timeless(&one.trace));
+            assert_eq!((many.x, many.fun, many.message), (one.x.clone(), one.fun, one.message.clone()));
+        }
+        // The seed still determines the trials.
+        assert_ne!(timeless(&run(minimize(probe), &options, 4).trace), timeless(&one.trace));
+    }
+}
+
+#[test]
+fn given_first_population_handles_logarithmic_integer_and_fixed_parameters() {
+    let members: Vec<Vec<f64>> = (1..9).map(|k| vec![f64::from(k), 0.7f64.powi(k), 4.0]).collect();
+    let run = |members: Vec<Vec<f64>>| {
+        minimize(|x: &[f64]| (x[0] - 5.0).powi(2) + (x[1].ln() + 2.0).powi(2))
+            .bounds(&[0.0, 1e-6, 4.0], &[20.0, 1e3, 4.0])
+            .unwrap()
+            .kinds(&[ParameterKind::Integer, ParameterKind::Continuous, ParameterKind::Continuous])
+            .transforms(&[Transform::Linear, Transform::Log, Transform::Linear])
+            .method(DifferentialEvolution::classic().initial_population(members))
+            .seed(2)
+            .max_evaluations(200)
+            .run()
+    };
+    let report = run(members.clone()).unwrap();
+    assert!(report.trace.iter().take(8).map(|e| e.x).eq(members.iter()), "{report}");
+    assert!(report.trace.iter().all(|e| e.x[0] == e.x[0].round() && e.x[2] == 4.0) && report.x[0] == 5.0);
+    let with = |member: [f64; 3]| run([&members[1..], &[member.to_vec()]].concat()).unwrap_err();
+    let text = with([2.5, 1.0, 4.0]).to_string();
+    assert_eq!(
+        text,
+        "initial population of x[0] = 2.5 must be an integer, because the parameter is discrete"
+    );
+    assert!(matches!(with([2.0, 0.0, 4.0]), Error::MemberOutside { member: 7, index: 1, .. }));
+    assert!(matches!(with([2.0, 1.0, 5.0]), Error::MemberOutside { member: 7, index: 2, .. }));
+}
+
+#[test]
+fn checkpoint_of_given_first_population_is_bound_to_it() {
+    let path = std::env::temp_dir().join(format!("dfo_initial_population_{}", std::process::id()));
+    let run = |options: DifferentialEvolution| {
+        let checkpoint = dfo::Checkpoint::new(&path);
+        minimize(rosenbrock)
+            .bounds(&[-2.0; 2], &[2.0; 2])
+            .unwrap()
+            .method(options)
+            .seed(1)
+            .max_evaluations(60)
+            .checkpoint(checkpoint)
+            .run()
+    };
+    let options = DifferentialEvolution::classic().initial_population(spiral(12));
+    let (first, again) = (run(options.clone()).unwrap(), run(options).unwrap());
+    assert_eq!(timeless(&first.trace), timeless(&again.trace));
+    let other = run(DifferentialEvolution::classic().initial_population(spiral(13))).unwrap_err();
+    let _ = std::fs::remove_file(&path);
+    assert!(other.to_string().contains("initial_population: 12 points ("), "{other}");
+}
+
 #[test]
 fn cutoffs_do_not_change_decisions() {
     for options in [DifferentialEvolution::default(), DifferentialEvolution::classic()] {
@@ -277,6 +353,24 @@ fn bad_options_return_typed_errors() {
     ] {
         assert!(matches!(run(bad.clone(), 2.0), Err(Error::Option { .. })), "{bad:?}");
     }
+    let members = |x: &[&[f64]]| classic().initial_population(x.iter().map(|x| x.to_vec()).collect());
+    let square: [&[f64]; 4] = [&[0.0, 0.0], &[1.0, 0.0], &[0.0, 1.0], &[1.0, 1.0]];
+    assert!(run(members(&square), 2.0).is_ok() && run(members(&square).population(4), 2.0).is_ok());
+    for bad in [members(&[]), members(&square[1..]), members(&square).population(5)] {
+        assert!(matches!(run(bad, 2.0), Err(Error::Option { name: "population", .. })));
+    }
+    let with = |x: &[f64]| run(members(&[&square[..], &[x]].concat()), 2.0).unwrap_err();
+    assert_eq!(
+        with(&[0.5]).to_string(),
+        "member of the initial population: expected 2 values, one per parameter; got 1"
+    );
+    assert_eq!(
+        with(&[0.5, 3.0]).to_string(),
+        "initial population: coordinate x[1] = 3 of member 4 is outside its bounds [-2, 2]"
+    );
+    assert!(matches!(with(&[f64::NAN, 0.5]), Error::MemberOutside { member: 4, index: 0, .. }));
+    let flat = run(members(&[&[0.0, 0.5], &[1.0, 0.5], &[2.0, 0.5], &[-1.0, 0.5]]), 2.0).unwrap_err();
+    assert_eq!((flat.clone(), flat.parameter()), (Error::FlatPopulation { index: 1, value: 0.5 }, Some(1)));
     let choice = minimize(rosenbrock)
         .bounds(&[0.0; 2], &[2.0; 2])
         .unwrap()

@@ -78,6 +78,7 @@ fn record_of_a_run_requests_the_same_run() {
         serde_json::json!({ "method": "nelder-mead", "coefficients": [1, 2, 0.5, 0.4], "initial_simplex": [0.1, 0.2], "stop": "any" }),
         serde_json::json!({ "method": "least-squares", "batch": "rounds", "max_time": 2.5, "target": 1e-3, "max_failed": 0.25 }),
         serde_json::json!({ "method": "de-classic", "weight": [0.5, 1], "population": 30, "max_evaluations": 70, "unlimited": true }),
+        serde_json::json!({ "method": "de", "initial_population": [[0.1, 0.2], [1, 2], [3, 4], [5, 6]], "lag": 0 }),
         serde_json::json!({ "method": "ga", "selection": 3, "stall": null, "max_iterations": 9, "tolerances": "absolute" }),
         serde_json::json!({ "method": "de", "checkpoint": "a.ckpt", "checkpoint_interval": 5, "resume": "never", "cache": 8 }),
         serde_json::json!({ "warm_start": [{ "x": [1.5, 2.5], "cost": 0.5, "residuals": [], "problem": "p" }], "trace_limit": 4 }),

@@ -25,6 +25,7 @@
 //! of its slot.
 
 mod adaptation;
+mod initial;
 mod operators;
 mod options;
 mod state;
@@ -37,7 +38,6 @@ use crate::method_interface::interface::{MethodOptions, Setup};
 use crate::method_interface::rng::draw_seed;
 use crate::methods::shared::generations::Generations;
 use crate::methods::shared::population::MAX_MEMBERS;
-use crate::problem::option_texts;
 use crate::values::choices::ParameterKind;
 use options::planned;
 use state::DifferentialRules;
@@ -69,6 +69,7 @@ impl MethodOptions for DifferentialEvolution {
                          population), and at most a million";
             return Err(Error::Option { name: "population", value: members as f64, range });
         }
+        initial::check(space, self)?;
         let members = if n == 0 { 1 } else { members };
         DifferentialRules::begin(self, setup.clone(), members, budget, setup.seed.unwrap_or_else(draw_seed))
     }
@@ -86,7 +87,7 @@ impl MethodOptions for DifferentialEvolution {
     }
 
     fn describe(&self) -> Vec<(String, String)> {
-        option_texts::fields(self)
+        initial::describe(self)
     }
 
     fn plans_with_budget(&self) -> bool {

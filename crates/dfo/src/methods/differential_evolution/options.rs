@@ -147,6 +147,12 @@ pub struct DifferentialEvolution {
     /// / 10 000)^0.3`, at most 18 n, where `b n` is the planned number of evaluations. The default for the
     /// classic scheme is 10 n.
     pub population: Option<usize>,
+    /// Members of the first population, at least as many as the strategy needs. Each member is a complete
+    /// point in the user's units. Default `None`: members are sampled. If given, the population size is the
+    /// number of members, as with the array `init` of SciPy's `differential_evolution`. The start point and
+    /// the points of an earlier run are evaluated only if they are members.
+    #[serde(default)]
+    pub initial_population: Option<Vec<Vec<f64>>>,
     /// Sampling method of the first population; default Latin hypercube, or uniform
     /// for [`classic`](Self::classic).
     pub sampling: Sampling,
@@ -170,6 +176,7 @@ impl Default for DifferentialEvolution {
         Self {
             scheme: Scheme::Adaptive(Adaptive::default()),
             population: None,
+            initial_population: None,
             sampling: Sampling::LatinHypercube,
             repair: Repair::Midpoint,
             include_start: true,
@@ -214,6 +221,14 @@ impl DifferentialEvolution {
     #[must_use]
     pub fn population(mut self, members: usize) -> Self {
         self.population = Some(members);
+        self
+    }
+
+    /// Sets the members of the first population, see
+    /// [`DifferentialEvolution::initial_population`](field@Self::initial_population).
+    #[must_use]
+    pub fn initial_population(mut self, members: Vec<Vec<f64>>) -> Self {
+        self.initial_population = Some(members);
         self
     }
 
@@ -270,7 +285,8 @@ impl DifferentialEvolution {
                 (18.0 * n as f64 * share.powf(POPULATION_POWER).min(1.0)).round() as usize
             }
         };
-        self.population.unwrap_or(default.max(20))
+        let given = self.initial_population.as_ref().map(Vec::len);
+        given.or(self.population).unwrap_or(default.max(20))
     }
 
     /// Returns the name of the method with these options.

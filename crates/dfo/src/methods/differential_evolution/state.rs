@@ -104,8 +104,12 @@ impl DifferentialRules {
             n_before: 0,
             foreseen: None,
         };
-        let (pool, _) =
+        let (mut pool, _) =
             Populations::new(setup, seed, members, members, options.sampling, options.include_start)?;
+        let given = options.initial_population.iter().flatten();
+        for (slot, x) in given.enumerate().take(members) {
+            pool.population.place_exactly(slot, x, &pool.setup.space);
+        }
         Ok(Generations::new(rules, pool))
     }
 

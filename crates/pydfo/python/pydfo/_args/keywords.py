@@ -31,7 +31,7 @@ _FOREIGN: Final[Mapping[str, tuple[str, ...]]] = {
     **dict.fromkeys(("maxtime", "time_limit", "timeout", "max_time"), ("max_time", "timeout")),
     "adaptive": ('options={"coefficients": "adaptive"}',),
     "popsize": ("population",),
-    "init": ("sampling",),
+    "init": ('options={"sampling": ...} or options={"initial_population": ...}',),
     "disp": ("disp", "callback"),
     "polish": ("method",),
     "x_scale": ("nominal",),

@@ -52,6 +52,8 @@ def record(
         asked["warm_start"] = [{"x": x, "cost": cost, "residuals": [], "problem": problem} for x, cost in points]
     if asked.get("initial_simplex") is not None:
         check_simplex(asked["initial_simplex"], n)
+    if asked.get("initial_population") is not None:
+        asked["initial_population"] = population(asked["initial_population"], n)
     asked.update(arguments, method=_values.choice("method", method), seed=seed(rng))
     if checkpoint is not None:
         asked["checkpoint"] = _values.path("checkpoint", checkpoint)
@@ -185,6 +187,20 @@ def check_simplex(value: npt.ArrayLike, n: int) -> None:
             f"initial_simplex has shape {array.shape}; expected vertices of shape ({n + 1}, {n}), or one step per parameter, "
             f"shape ({n},)"
         )
+
+
+def population(value: npt.ArrayLike, n: int) -> FloatArray:
+    """Returns the members of a first population as an array, and checks its shape and that it is finite."""
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(f"initial_population must be points of shape (m, {n}), not {show(value)}") from None
+    if array.ndim != 2 or array.shape[1] != n:
+        raise ValueError(f"initial_population has shape {array.shape}; expected points of shape (m, {n})")
+    if not np.isfinite(array).all():
+        index = np.argwhere(~np.isfinite(array))[0].tolist()
+        raise ValueError(f"initial_population{index} = {array[tuple(index)]} must be finite")
+    return array
 
 
 def solver(name: str, argument: str = "solver") -> str:

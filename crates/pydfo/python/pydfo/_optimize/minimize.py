@@ -134,8 +134,9 @@ def minimize(
 
         Barrier: ``batch``, ``coefficients``, ``mu``, ``factor``.
 
-        DE: ``population``, ``sampling`` ("uniform", "latin-hypercube", "sobol"), ``repair`` ("midpoint", "mirror",
-        "clamp", "resample"), ``include_start``, ``lag`` (number of trials made ahead of selection; 0: a whole
+        DE: ``population``, ``sampling`` ("uniform", "latin-hypercube", "sobol"), ``initial_population`` (members of
+        the first population, shape (m, n), instead of sampled ones; their number is then the population size, and
+        `x0` is not added), ``repair`` ("midpoint", "mirror", "clamp", "resample"), ``include_start``, ``lag`` (number of trials made ahead of selection; 0: a whole
         generation at a time, best for one worker); L-SHADE also ``budget``, ``p_best``, ``memory``, ``archive``,
         ``final_population``; classic also ``strategy`` ("rand1", "best1", "current-to-best1", "rand2"), ``crossover``
         ("binomial", "exponential"), ``weight`` (a number, or a pair to draw from), ``probability``.
