@@ -263,6 +263,25 @@ def test_hdf5_without_pytables_states_how_to_install_it(tmp_path, monkeypatch):
         cost(path)
 
 
+@pytest.mark.parametrize("first", [0.0, 90000.0])
+def test_csv_with_durations_of_pandas_is_read(tmp_path, first):
+    pd = pytest.importorskip("pandas")
+    durations = pd.to_timedelta(TIME + first, unit="s").round("ms")
+    pd.DataFrame({"x": X}, index=durations).to_csv(tmp_path / "run.csv", index_label="time")
+    assert " days " in (tmp_path / "run.csv").read_text()
+    assert cost(tmp_path / "run.csv", start_time=first) == pytest.approx(COST, rel=1e-6)
+
+
+def test_csv_with_dates_of_matlab_is_read(tmp_path):
+    """`writetable` writes a datetime as 31-May-2024 23:59:59, and with other display formats its milliseconds."""
+    texts = [when.astype("datetime64[us]").item().strftime("%d-%b-%Y %H:%M:%S.%f")[:-3] for when in dates()]
+    (tmp_path / "run.csv").write_text("time,x\n" + "".join(f"{when},{x!r}\n" for when, x in zip(texts, X.tolist())))
+    assert cost(tmp_path / "run.csv") == pytest.approx(COST, rel=1e-6)
+    (tmp_path / "run.csv").write_text("time,x\n31-Mai-2024 10:00:00,1\n")
+    with pytest.raises(BadCalibrationError, match="write the month as a number, or abbreviate it in English"):
+        cost(tmp_path / "run.csv")
+
+
 def test_csv_of_pandas_without_a_name_of_its_index_states_how_to_write_it(tmp_path):
     pd = pytest.importorskip("pandas")
     frame = pd.DataFrame({"x": X}, index=TIME)

@@ -1,7 +1,7 @@
 //! Reader for CSV files from spreadsheets and data loggers.
 
 use super::csv_records::{MOST_COLUMNS, Records, decode};
-use super::dates::{DateError, date_seconds};
+use super::dates::{DateError, date_seconds, is_duration};
 use super::recording::{Column, Data, hex, mixed_decimal_signs};
 use super::time_column::{PairUnit, TimeColumn, find_column, time_unit};
 use super::units::Unit;
@@ -208,7 +208,8 @@ impl Data {
         times.iter_mut().for_each(|t| *t = time_column.seconds(*t));
         let place = |row| format!("line {}", line_of(row));
         let data = Self::new(source_name.to_owned(), time.name, times, columns, place)?.with_dates(has_dates);
-        let first_date = dates.first().filter(|_| has_dates).map(|date| date.trim().to_owned());
+        let first_date =
+            dates.first().filter(|date| has_dates && !is_duration(date)).map(|date| date.trim().to_owned());
         let data = data.with_first_date(first_date);
         Ok(data.left_out(others.into_iter().map(|column| column.name)).with_clock_change(clock_change))
     }
@@ -458,6 +459,14 @@ mod tests {
             let d = csv(text).unwrap();
             assert_eq!((d.time(), d.column("y").unwrap()), (&[0.0, 1.0][..], &[1.0, 2.0][..]), "{text}");
         }
+    }
+
+    #[test]
+    fn csv_keeps_durations_and_stores_no_date_for_them() {
+        let d = csv("time,y\n0 days 00:00:02,1\n0 days 00:00:02.500000,2\n").unwrap();
+        assert_eq!((d.time(), d.has_dates(), d.first_date()), (&[2.0, 2.5][..], true, None));
+        let d = csv("time,y\n31-May-2024 10:00:02,1\n31-May-2024 10:00:03,2\n").unwrap();
+        assert_eq!((d.time(), d.first_date()), (&[0.0, 1.0][..], Some("31-May-2024 10:00:02")));
     }
 
     /// Reads only these columns.

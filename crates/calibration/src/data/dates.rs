@@ -12,10 +12,19 @@ use crate::findings::shown_text::shortened;
 /// Number of cells between two checks for cancellation.
 const CELLS_PER_LOOK: usize = 4096;
 
-/// Formats in addition to ISO 8601. Text after the seconds is their fraction.
-const DATES: [&str; 5] =
-    ["%d.%m.%Y %H:%M:%S%.f", "%d.%m.%Y %H:%M", "%d.%m.%Y", "%Y/%m/%d %H:%M:%S%.f", "%Y/%m/%d %H:%M"];
+/// Formats in addition to ISO 8601. Text after the seconds is their fraction. MATLAB writes `31-May-2024`.
+const DATES: [&str; 8] = [
+    "%d.%m.%Y %H:%M:%S%.f",
+    "%d.%m.%Y %H:%M",
+    "%d.%m.%Y",
+    "%Y/%m/%d %H:%M:%S%.f",
+    "%Y/%m/%d %H:%M",
+    "%d-%b-%Y %H:%M:%S%.f",
+    "%d-%b-%Y %H:%M",
+    "%d-%b-%Y",
+];
 const TIME_OF_DAY: &str = "%H:%M:%S%.f";
+const NANOSECONDS_PER_DAY: i128 = 86_400_000_000_000;
 
 /// Returns minutes and seconds if one of the first numbers is not an hour of a day or a cell has a fraction.
 /// Returns `None` if the cells are ambiguous.
@@ -34,6 +43,9 @@ enum Form {
     /// Date without a time zone; days have 24 h.
     Date,
     TimeOfDay,
+    /// Days and a time after them, as pandas writes a duration. The only form that does not count from the
+    /// first cell.
+    Duration,
     /// Two numbers with a colon between them: hours and minutes, or minutes and seconds.
     Pair,
 }
@@ -47,10 +59,10 @@ pub enum DateError {
     Cancelled,
 }
 
-/// Returns the times in s since the first one. Also returns a missing hour in times without a zone. All cells
-/// must have the format of the first one: a date, a date with a zone, or a time of day. `pair` specifies the
-/// meaning of two numbers (`10:02`). Without `pair`, they are minutes and seconds if they cannot be anything
-/// else. The context can end the conversion.
+/// Returns the times in s since the first one, or durations in s. Also returns a missing hour in times
+/// without a zone. All cells must have the format of the first one: a date, a date with a zone, a time of
+/// day, or a duration. `pair` specifies the meaning of two numbers (`10:02`). Without `pair`, they are
+/// minutes and seconds if they cannot be anything else. The context can end the conversion.
 ///
 /// # Errors
 /// Returns the index of an invalid cell and the problem. Two numbers that may be hours and minutes or minutes
@@ -68,7 +80,8 @@ pub fn date_seconds(
             return Err(DateError::Cancelled);
         }
         let (form, nanoseconds) = parse(cell, pair).ok_or_else(|| DateError::Cell(row, complaint(cell)))?;
-        let (known, start) = *first.get_or_insert((form, nanoseconds));
+        let start = if form == Form::Duration { 0 } else { nanoseconds };
+        let (known, start) = *first.get_or_insert((form, start));
         let shown = shortened(cell);
         if form != known {
             let other = shortened(cells[0].as_ref());
@@ -112,12 +125,37 @@ fn parse(cell: &str, pair: Option<PairUnit>) -> Option<(Form, i128)> {
     {
         return Some((Form::Date, nanoseconds(date)?));
     }
+    if let Some(duration) = duration(&cell) {
+        return Some((Form::Duration, duration));
+    }
     match Time::strptime(TIME_OF_DAY, &cell) {
-        Ok(time) => {
-            Some((Form::TimeOfDay, nanoseconds(DateTime::from_parts(Date::constant(1970, 1, 1), time))?))
-        }
+        Ok(time) => Some((Form::TimeOfDay, of_day(time)?)),
         Err(_) => Some((Form::Pair, two_numbers(&cell, pair)?)),
     }
+}
+
+/// True if the cell contains a duration, which has no date.
+pub(super) fn is_duration(cell: &str) -> bool {
+    duration(&cell.trim().replace(',', ".")).is_some()
+}
+
+/// Converts a duration as pandas writes it, `1 days 02:03:04.5` or `1 days`, to nanoseconds. The time counts
+/// forwards after negative days, too: `-1 days +23:59:59` is -1 s.
+fn duration(cell: &str) -> Option<i128> {
+    let (days, rest) = cell.split_once(" day")?;
+    let days = i128::from(days.parse::<i32>().ok()?);
+    let rest = rest.strip_prefix('s').unwrap_or(rest);
+    let after = match rest.strip_prefix(' ') {
+        Some(time) => of_day(Time::strptime(TIME_OF_DAY, time.strip_prefix('+').unwrap_or(time)).ok()?)?,
+        None if rest.is_empty() => 0,
+        None => return None,
+    };
+    Some(days * NANOSECONDS_PER_DAY + after)
+}
+
+/// Returns the time since midnight in nanoseconds.
+fn of_day(time: Time) -> Option<i128> {
+    nanoseconds(DateTime::from_parts(Date::constant(1970, 1, 1), time))
 }
 
 /// Converts `12:34` or `12:34.5` to nanoseconds.
@@ -141,11 +179,19 @@ fn nanoseconds(date: DateTime) -> Option<i128> {
     date.to_zoned(jiff::tz::TimeZone::UTC).ok().map(|zoned| zoned.timestamp().as_nanosecond())
 }
 
+/// True if the cell begins with a number, a hyphen and a letter, such as `31-Mai-2024`.
+fn has_named_month(cell: &str) -> bool {
+    let is_day = |text: &str| text.trim().parse::<u8>().is_ok();
+    cell.split_once('-').is_some_and(|(day, rest)| is_day(day) && rest.starts_with(char::is_alphabetic))
+}
+
 fn complaint(cell: &str) -> String {
     let hint = if cell.matches('/').count() == 2 {
         " (day and month are ambiguous)"
     } else if cell.to_lowercase().ends_with('m') && cell.contains(':') {
         " (write hours from 0 to 23)"
+    } else if has_named_month(cell) {
+        " (write the month as a number, or abbreviate it in English)"
     } else {
         ""
     };
@@ -180,6 +226,8 @@ mod tests {
             ["2024-05-31T23:59:59Z", "2024-05-31T23:59:59.5Z", "2024-06-01T02:00:01+02:00"],
             ["31.05.2024 23:59:59", "31.05.2024 23:59:59,5", "01.06.2024 00:00:01"],
             ["2024/05/31 23:59:59", "2024/05/31 23:59:59.5", "2024/06/01 00:00:01"],
+            ["31-May-2024 23:59:59", "31-May-2024 23:59:59.500", "01-Jun-2024 00:00:01"],
+            ["0 days 00:00:00", "0 days 00:00:00.500000", "0 days 00:00:02"],
             ["10:00:59", "10:00:59.5", "10:01:01"],
         ] {
             assert_eq!(of(&cells).unwrap(), [0.0, 0.5, 2.0], "{cells:?}");
@@ -192,6 +240,12 @@ mod tests {
         assert_eq!(of(&["00:00.0", "00:00.5", "01:00.0"]).unwrap(), [0.0, 0.5, 60.0]);
         assert_eq!(with_pair(&["10:00", "24:00"], PairUnit::named("hh:mm")).unwrap_err().0, 1);
         assert_eq!(of(&["31.05.2024 10:00", "31.05.2024 10:02"]).unwrap(), [0.0, 120.0]);
+        assert_eq!(of(&["31-May-2024 10:00", "31-May-2024 10:02"]).unwrap(), [0.0, 120.0]);
+        assert_eq!(of(&["28-Feb-2024", "01-mar-2024"]).unwrap(), [0.0, 2.0 * 86400.0]);
+        // Durations do not count from the first one.
+        let durations = of(&["-1 days +23:59:59.5", "0 days 00:00:02", "1 day", "2 days 00:00:01"]).unwrap();
+        assert_eq!(durations, [-0.5, 2.0, 86400.0, 2.0 * 86400.0 + 1.0]);
+        assert!(is_duration("3 days 00:00:01") && !is_duration("2024-05-31 00:00:01"));
         let tenths = of(&["10:00:00.0", "10:00:00.1", "10:00:00.2", "10:00:00.3"]).unwrap();
         assert_eq!(tenths, [0.0, 0.1, 0.2, 0.3]);
     }
@@ -222,6 +276,10 @@ mod tests {
             (&["05/31/2024 10:00:00"], (0, "day and month are ambiguous")),
             (&["10:00:00 PM"], (0, "hours from 0 to 23")),
             (&["2024-13-31"], (0, "neither")),
+            (&["31-Mai-2024 10:00:00"], (0, "abbreviate it in English")),
+            (&["1 days 25:00:00"], (0, "neither")),
+            (&["1 days10:00:00"], (0, "neither")),
+            (&["0 days 00:00:00", "00:00:01"], (1, "another form than the first date, '0 days 00:00:00'")),
             (
                 &["2024-05-31", "10:00:00"],
                 (1, "'10:00:00' has another form than the first date, '2024-05-31'"),
