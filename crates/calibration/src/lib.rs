@@ -65,8 +65,8 @@ pub use findings::shown_text::{visible, visible_error, visible_line};
 pub use fit::goodness::{Comparison, Goodness};
 pub use fit::live::LiveFit;
 pub use fit::one_stage::{
-    ChosenTolerance, EstimatedNoise, Fit, FitNoise, FitObserver, FitOptions, FitRecord, NoiseRule,
-    OutputNoise, SimulationExecutor,
+    ChosenTolerance, EstimatedNoise, Fit, FitNoise, FitObserver, FitOptions, FitRecord, ModelledNoise,
+    NoiseRule, OutputNoise, SigmaSeries, SimulationExecutor,
 };
 pub use fit::output_fit::OutputFit;
 pub use fit::phase::{CurrentPhase, FitPhase, PhaseCost};
@@ -85,6 +85,7 @@ pub use loaded::effort::Effort;
 pub use loaded::worker::serve_if_worker;
 pub use problem::column_units::{InputColumn, recorded_inputs};
 pub use problem::definition::{ModelFile, Problem};
+pub use problem::error_model::{Coefficient, ErrorModel};
 pub use problem::experiment::{Experiment, InitialState, OutputScale, Sigma, Weight};
 pub use problem::experiment_record::ExperimentRecord;
 pub use problem::objective::{Compared, CostKind, CustomCost, CustomFailure, NamedCost};

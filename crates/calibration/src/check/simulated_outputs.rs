@@ -77,11 +77,9 @@ impl<'a> Outputs<'a> {
 }
 
 pub(super) fn all_series<'a>(calibration: &'a Calibration, residuals: &[f64]) -> Vec<Series<'a>> {
-    let simulated = |of: &OutputResiduals| {
-        let own = residuals[of.range.clone()].iter().zip(&of.weights).zip(&of.measured);
-        own.map(|((r, w), measured)| measured + r / w).collect()
-    };
-    calibration.residual_layout().outputs.iter().map(|of| Series { of, simulated: simulated(of) }).collect()
+    // The checks compare values, not logarithms.
+    let outputs = calibration.residual_layout().outputs.iter().filter(|of| !of.is_log);
+    outputs.map(|of| Series { of, simulated: of.simulated_values(residuals) }).collect()
 }
 
 impl Series<'_> {

@@ -197,11 +197,21 @@ impl LoadedProblem {
         match accumulator.stop {
             Some(StopReason::AboveCutoff) => return Err(CostFailure::Above),
             Some(StopReason::Cancelled) => return Err(CostFailure::Cancelled),
-            Some(StopReason::NotFinite(output)) => {
+            Some(StopReason::NotFinite(output) | StopReason::NotPositive(output, _)) => {
                 let name = &self.problem.experiments[k].outputs[output].variable;
-                let reason = format!("the residual of '{name}' is not finite");
-                let time = accumulator.last_time(output).unwrap_or(f64::NAN);
-                let message = format!("{reason} at t = {}", Number(time));
+                let time = Number(accumulator.last_time(output).unwrap_or(f64::NAN));
+                let (reason, message) = match accumulator.stop {
+                    Some(StopReason::NotPositive(_, value)) => {
+                        let reason = format!("the simulated '{name}' is not positive, but sigma is 'log'");
+                        let message = format!("{reason}: {} at t = {time}", Number(value));
+                        (reason, message)
+                    }
+                    _ => {
+                        let reason = format!("the residual of '{name}' is not finite");
+                        let message = format!("{reason} at t = {time}");
+                        (reason, message)
+                    }
+                };
                 return Err(CostFailure::Failed {
                     kind: FailureKind::NotFinite,
                     reason,

@@ -88,7 +88,8 @@ impl Comparison {
     /// Creates a comparison whose outputs are only sampled, all at these times.
     pub(crate) fn at_times(times: &[f64], n_outputs: usize) -> Self {
         let none: Series = vec![f64::NAN; times.len()].into();
-        let output = Counted { times: times.to_vec().into(), values: none.clone(), weights: none };
+        let output =
+            Counted { times: times.to_vec().into(), values: none.clone(), weights: none, is_log: false };
         Self::new(&vec![output; n_outputs])
     }
 
@@ -113,6 +114,7 @@ impl Comparison {
             weights: counted.weights.clone(),
             starts_simulation: false,
             is_noise_known: false,
+            is_log: counted.is_log,
         };
         self.outputs.iter().enumerate().map(of_output).collect()
     }
@@ -169,12 +171,14 @@ pub(crate) struct Accumulator<'a> {
 }
 
 /// Reason why the accumulator ended the simulation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum StopReason {
     /// The partial sum is strictly above the cutoff.
     AboveCutoff,
     /// A simulated value or the sum is not finite. The index of the output is counted from 0.
     NotFinite(usize),
+    /// A simulated value whose logarithm is compared is not positive: index of the output, and value.
+    NotPositive(usize, f64),
     /// The run was interrupted.
     Cancelled,
 }
@@ -217,7 +221,12 @@ impl Observer for Accumulator<'_> {
         for (k, (((output, begin), next), simulated)) in of_outputs.enumerate() {
             let (mut row, weights) = (*next, &output.weights);
             while row < weights.len() && schedule.sample_of(k, row) == index {
-                let residual = rule.loss.transform(weights[row] * (simulated - output.values[row]));
+                if output.is_log && simulated <= 0.0 {
+                    *next = row + 1;
+                    return self.end(StopReason::NotPositive(k, simulated));
+                }
+                let compared = if output.is_log { simulated.ln() } else { simulated };
+                let residual = rule.loss.transform(weights[row] * (compared - output.values[row]));
                 out[begin + row] = residual;
                 self.sum += residual * residual;
                 row += 1;
@@ -323,6 +332,7 @@ mod tests {
             times: rows.iter().map(|row| row.0).collect(),
             values: rows.iter().map(|row| row.1).collect(),
             weights: vec![1.0; rows.len()].into(),
+            is_log: false,
         }
     }
 

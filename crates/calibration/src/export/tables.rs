@@ -158,7 +158,7 @@ impl Fit {
                     output.column.clone(),
                     unit.clone(),
                     number(output.times[k]),
-                    number(output.measured[k]),
+                    number(output.value(output.measured[k])),
                     simulated.map_or_else(String::new, number),
                     number(output.weights[k]),
                     number(residuals[index]),

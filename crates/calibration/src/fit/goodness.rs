@@ -1,7 +1,7 @@
 //! Goodness of fit: chi-square, information criteria, and the comparison of two fits.
 
 use crate::findings::shown_text::digits;
-use crate::fit::one_stage::{Fit, FitNoise};
+use crate::fit::one_stage::{Fit, FitNoise, ModelledNoise};
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF, FisherSnedecor};
 use std::fmt;
@@ -11,7 +11,9 @@ use std::fmt;
 ///
 /// The residuals are those of the measurements, with the weights of the calibration and without a loss. The
 /// criteria assume independent normal errors with one variance: minus twice the logarithm of the likelihood
-/// is `N ln(chisqr / N)` up to a constant.
+/// is `N ln(chisqr / N)` up to a constant. With an error model ([`Sigma::Model`](crate::Sigma::Model)), the
+/// residuals have the weights of the fit, and it is `chisqr + 2 sum ln sigma`. Estimated coefficients then
+/// count as parameters of the criteria. The criteria are NaN if the noise of other outputs is not known.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
@@ -40,9 +42,17 @@ pub struct Goodness {
 
 impl Goodness {
     /// Computes the statistics of N residuals with this sum of squares.
-    fn new(chisqr: f64, ndata: usize, nvarys: usize, is_noise_known: bool) -> Self {
-        let (n, k, nfree) = (ndata as f64, nvarys as f64, ndata.saturating_sub(nvarys));
-        let likelihood = n * (chisqr / n).ln();
+    /// `with_models` replaces `N ln(chisqr / N)` and is the number of estimated coefficients.
+    fn new(
+        chisqr: f64,
+        ndata: usize,
+        nvarys: usize,
+        is_noise_known: bool,
+        with_models: Option<(f64, usize)>,
+    ) -> Self {
+        let (n, nfree) = (ndata as f64, ndata.saturating_sub(nvarys));
+        let (likelihood, n_coefficients) = with_models.unwrap_or((n * (chisqr / n).ln(), 0));
+        let k = (nvarys + n_coefficients) as f64;
         let aic = likelihood + 2.0 * k;
         let capacity = n - k - 1.0;
         let of = ChiSquared::new(nfree as f64).ok().filter(|_| is_noise_known);
@@ -67,7 +77,8 @@ pub struct Comparison {
     /// Statistics of the two fits.
     pub fits: [Goodness; 2],
     /// F statistic of the decrease of `chisqr` by the additional parameters of the larger model. `None` if
-    /// both fits have the same number of parameters, or if the larger model leaves no degree of freedom.
+    /// both fits have the same number of parameters or error models, or if the larger model leaves no degree
+    /// of freedom.
     pub f: Option<f64>,
     /// Probability of a larger F if the smaller model is right. It requires that the models are nested: the
     /// smaller one is the larger one with fixed or tied parameters.
@@ -84,18 +95,33 @@ impl Fit {
         };
         let nvarys = (0..self.x.len()).filter(|i| !is_held(i)).count();
         let chisqr = self.rms * self.rms * self.n_measurements as f64;
-        Goodness::new(chisqr, self.n_measurements, nvarys, self.noise == Some(FitNoise::Known))
+        let is_noise_known = self.noise.as_ref().is_some_and(FitNoise::is_known);
+        let models = self.models();
+        let with_models = (!models.is_empty()).then(|| {
+            let logarithms = models.iter().flat_map(|own| &own.series).map(|series| series.sum_of_logarithms);
+            let n_modelled: usize = models.iter().map(|own| own.series.len()).sum();
+            let is_all = is_noise_known || n_modelled == self.outputs.len();
+            let likelihood = if is_all { chisqr + 2.0 * logarithms.sum::<f64>() } else { f64::NAN };
+            (likelihood, models.iter().map(|own| own.coefficients().count()).sum())
+        });
+        Goodness::new(chisqr, self.n_measurements, nvarys, is_noise_known, with_models)
+    }
+
+    fn models(&self) -> &[ModelledNoise] {
+        self.noise.as_ref().map_or(&[], FitNoise::models)
     }
 
     /// Compares this fit with another fit to the same measurements with the same weights. The F statistic of
     /// models with k1 and k2 > k1 parameters is `(chisqr1 - chisqr2) / (k2 - k1) / redchi2` (Seber and Wild,
-    /// Nonlinear Regression, 1989, section 5.3).
+    /// Nonlinear Regression, 1989, section 5.3). Fits with an error model have different weights, so only
+    /// their information criteria are compared.
     ///
     /// # Errors
-    /// Returns a message if the fits have different outputs or numbers of measurements.
+    /// Returns a message if the fits have different outputs or numbers of measurements, or if only one of
+    /// them has an error model.
     pub fn compare(&self, other: &Self) -> Result<Comparison, String> {
-        let compared = |fit: &Self| -> Vec<(String, String, usize)> {
-            fit.outputs.iter().map(|o| (o.variable.clone(), o.column.clone(), o.n)).collect()
+        let compared = |fit: &Self| -> Vec<(String, String, usize, bool)> {
+            fit.outputs.iter().map(|o| (o.variable.clone(), o.column.clone(), o.n, o.is_log)).collect()
         };
         if self.n_measurements != other.n_measurements || compared(self) != compared(other) {
             return Err(format!(
@@ -103,11 +129,18 @@ impl Fit {
                 self.n_measurements, other.n_measurements
             ));
         }
+        let modelled =
+            |fit: &Self| -> Vec<String> { fit.models().iter().map(|own| own.variable.clone()).collect() };
+        if modelled(self) != modelled(other) {
+            return Err("the fits cannot be compared because an output has an error model (sigma) in only one of them. \
+                        Use an error model in both, such as 'a + b*abs(y)' and 'b*abs(y)'"
+                .to_owned());
+        }
         let fits = [self.goodness(), other.goodness()];
         let (small, large) = if fits[0].nvarys <= fits[1].nvarys { (0, 1) } else { (1, 0) };
         let (small, large) = (fits[small], fits[large]);
         let (added, nfree) = ((large.nvarys - small.nvarys) as f64, large.nfree as f64);
-        let of = FisherSnedecor::new(added, nfree).ok();
+        let of = FisherSnedecor::new(added, nfree).ok().filter(|_| self.models().is_empty());
         let f = of.map(|_| (small.chisqr - large.chisqr) / added / large.redchi);
         // A model that is not nested may have a larger sum of squares.
         let p_value = of.zip(f).map(|(of, f)| of.sf(f.max(0.0)));
@@ -137,7 +170,7 @@ impl fmt::Display for Comparison {
             }
             _ => write!(
                 out,
-                "no F test: the fits have the same number of parameters, or no degrees of freedom"
+                "no F test: the fits have an error model, the same number of parameters, or no degrees of freedom"
             ),
         }
     }
@@ -150,7 +183,7 @@ mod tests {
     /// Values of lmfit's definitions for 12 residuals with the sum of squares 3 and 2 parameters.
     #[test]
     fn goodness_follows_the_definitions_of_lmfit() {
-        let of = Goodness::new(3.0, 12, 2, true);
+        let of = Goodness::new(3.0, 12, 2, true, None);
         let likelihood = 12.0 * (0.25_f64).ln();
         assert_eq!((of.ndata, of.nvarys, of.nfree, of.redchi), (12, 2, 10, 0.3));
         assert!((of.aic - (likelihood + 4.0)).abs() < 1e-12);
@@ -158,7 +191,7 @@ mod tests {
         assert!((of.aicc - (of.aic + 12.0 / 9.0)).abs() < 1e-12);
         // scipy.stats.chi2.sf(3, 10)
         assert!((of.p_value.unwrap() - 0.981_424_063_777_859_3).abs() < 1e-12);
-        assert_eq!(Goodness::new(3.0, 12, 2, false).p_value, None);
-        assert!(Goodness::new(3.0, 3, 2, false).aicc.is_infinite());
+        assert_eq!(Goodness::new(3.0, 12, 2, false, None).p_value, None);
+        assert!(Goodness::new(3.0, 3, 2, false, None).aicc.is_infinite());
     }
 }

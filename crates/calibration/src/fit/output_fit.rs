@@ -31,6 +31,9 @@ pub struct OutputFit {
     /// Fit percentage: `100 (1 - |simulated - measured| / |measured - mean|)`; NaN if the measurements do not
     /// vary.
     pub fit_percent: f64,
+    /// True if the fit compared [logarithms](crate::Weight::Log).
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub is_log: bool,
 }
 
 /// Residuals, with weights and loss, that the search of a fit computed at its start and at the point of the
@@ -148,8 +151,7 @@ impl Calibration {
     pub(crate) fn output_fits(&self, end: &PointResiduals, start: Option<&PointResiduals>) -> Vec<OutputFit> {
         let of_output = |series: &OutputResiduals| {
             let rms = |at: &PointResiduals| {
-                let own = at.residuals[series.range.clone()].iter().zip(&series.weights);
-                let sum: f64 = own.map(|(r, w)| (r / w).powi(2)).sum();
+                let sum: f64 = series.differences(&at.residuals).iter().map(|d| d * d).sum();
                 (sum / series.measured.len() as f64).sqrt()
             };
             let declared = self.fmu().description().variable(&series.variable);
@@ -162,7 +164,8 @@ impl Calibration {
                 n: series.measured.len(),
                 rms: rms_at_end,
                 start_rms: start.map(rms),
-                fit_percent: 100.0 * (1.0 - rms_at_end / deviation(&series.measured)),
+                is_log: series.is_log,
+                fit_percent: 100.0 * (1.0 - rms_at_end / deviation(&series.measured_values())),
             }
         };
         self.residual_layout().outputs.iter().map(of_output).collect()

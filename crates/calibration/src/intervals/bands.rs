@@ -219,7 +219,11 @@ impl Calibration {
             let column = |i: usize| simulated[i * n + output.experiment].columns[output.output].as_slice();
             let (values, times) = (column(0).to_vec(), simulated[output.experiment].time.clone());
             let (variance_of, residual_variance) = uncertainty.joint.outputs[k];
-            let noise = noise_at(&times, &weighed.outputs[k], residual_variance);
+            let mut noise = noise_at(&times, &weighed.outputs[k], residual_variance);
+            if output.is_log {
+                // A standard deviation of the logarithm is relative.
+                noise.iter_mut().zip(&values).for_each(|(noise, value)| *noise *= value.abs());
+            }
             let mut band = PredictionBand {
                 experiment: self.evaluator().simulations[output.experiment].name.clone(),
                 variable: output.variable.clone(),

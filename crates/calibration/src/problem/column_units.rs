@@ -3,6 +3,7 @@
 use crate::data::{Data, Unit, UnitConversion, UnitError, find_column, listed, parts};
 use crate::error::CalibrationError;
 use crate::problem::definition::Problem;
+use crate::problem::error_model::{Coefficient, ErrorModel};
 use crate::problem::experiment::{Experiment, Measured, Sigma, Weight};
 use crate::problem::measurements::{is_mask, weights_of_rows};
 use crate::problem::warning::SetupWarning;
@@ -109,6 +110,11 @@ fn convert_weights(
     for k in 0..experiment.outputs.len() {
         let Measured { variable, column: own, weight } = &experiment.outputs[k];
         if weight.states_noise() && experiment.data.full_name(own) == Some(column) {
+            if let Some(model) = weight.error_model() {
+                let model = converted_model(model, variable, column, conversion)?;
+                experiment.outputs[k].weight = Sigma::Model(model).into();
+                continue;
+            }
             let weights = weights_of_rows(experiment, variable, own, weight)?;
             let is_known = weight.is_known_noise();
             if is_mask(&weights) && !is_known {
@@ -123,6 +129,28 @@ fn convert_weights(
         }
     }
     Ok(())
+}
+
+/// Converts an error model to the unit of the variable. Estimated coefficients need no conversion.
+fn converted_model(
+    model: &ErrorModel,
+    variable: &str,
+    column: &str,
+    conversion: UnitConversion,
+) -> Result<ErrorModel, CalibrationError> {
+    let is_proportional = model.proportional.stated() != Some(0.0);
+    if is_proportional && conversion.apply(0.0) != 0.0 {
+        return Err(CalibrationError::Setup(format!(
+            "sigma '{model}' of '{variable}' depends on abs(y), but the unit of column '{column}' has another zero. Convert the column to the \
+             unit of the variable"
+        )));
+    }
+    let factor = conversion.apply_to_difference(1.0).abs();
+    let constant = match &model.constant {
+        Coefficient::Stated(a) => Coefficient::Stated(a * factor),
+        fitted => fitted.clone(),
+    };
+    Ok(ErrorModel { constant, ..model.clone() })
 }
 
 /// An input of a model and the column that drives it.

@@ -3,6 +3,7 @@
 
 use crate::data::{Data, ParameterSet, Series};
 use crate::error::CalibrationError;
+use crate::problem::error_model::{Coefficient, ErrorModel};
 use crate::problem::input::{InputSource, SignalFunction};
 use crate::problem::parameter::Parameter;
 use fmi::description::{Causality, Variability};
@@ -117,7 +118,14 @@ pub enum Weight {
     /// The inverse of a known standard deviation. Standard errors, intervals, profiles and bands are then
     /// absolute: the size of the residuals does not change them.
     Sigma(Sigma),
+    /// This factor of the difference of the logarithms, `ln(simulated) - ln(measured)`, for log-normal noise.
+    /// The standard deviation is unknown, as with [`Constant`](Self::Constant). A measurement must be
+    /// positive, and a simulated value that is not positive fails the simulation.
+    Log(f64),
 }
+
+/// Text that selects [`Weight::Log`].
+const LOGARITHM: &str = "log";
 
 /// Known standard deviation of the noise of an output, in the unit of its column. A measurement with an
 /// infinite standard deviation does not count.
@@ -129,6 +137,8 @@ pub enum Sigma {
     Column(String),
     /// One number for each row of the recording.
     Rows(Series),
+    /// A function of the simulated value. A fit alternates with the standard deviations until they settle.
+    Model(ErrorModel),
 }
 
 impl Sigma {
@@ -139,6 +149,34 @@ impl Sigma {
 }
 
 impl Weight {
+    /// Returns the weight of a text that describes the noise of a measured column: `log` for the
+    /// [logarithm](Self::Log), an [`ErrorModel`] such as `0.1 + 0.05*abs(y)`, otherwise the values of the
+    /// column with this name.
+    ///
+    /// # Errors
+    /// Returns an error that names the measured `column` if the text contains `abs(` but is no error model.
+    pub fn of_sigma(text: &str, column: &str) -> Result<Self, CalibrationError> {
+        if !Self::is_sigma(text) {
+            return Ok(Sigma::Column(text.to_owned()).into());
+        }
+        if text == LOGARITHM {
+            return Ok(Self::Log(1.0));
+        }
+        match text.parse::<ErrorModel>() {
+            Ok(ErrorModel {
+                constant: Coefficient::Stated(sigma),
+                proportional: Coefficient::Stated(0.0),
+            }) => Ok(Sigma::Constant(sigma).into()),
+            Ok(model) => Ok(Sigma::Model(model).into()),
+            Err(reason) => Err(CalibrationError::Setup(format!("sigma of column '{column}': {reason}"))),
+        }
+    }
+
+    /// True if a text given as sigma is not the name of a column.
+    pub fn is_sigma(text: &str) -> bool {
+        text == LOGARITHM || ErrorModel::is_meant(text)
+    }
+
     /// Returns the column with the weights or standard deviations, if any.
     pub(crate) fn column(&self) -> Option<&str> {
         match self {
@@ -149,7 +187,15 @@ impl Weight {
 
     /// True if the weight is the inverse of a known standard deviation.
     pub(crate) fn is_known_noise(&self) -> bool {
-        matches!(self, Self::Sigma(_))
+        matches!(self, Self::Sigma(_)) && !self.error_model().is_some_and(ErrorModel::is_fitted)
+    }
+
+    /// Returns the error model, if any.
+    pub(crate) fn error_model(&self) -> Option<&ErrorModel> {
+        match self {
+            Self::Sigma(Sigma::Model(model)) => Some(model),
+            _ => None,
+        }
     }
 
     /// Returns the inverse of the [scale](OutputScale::named) with this name, otherwise the values of the
@@ -163,6 +209,7 @@ impl Weight {
         match self {
             Self::Constant(weight) => *weight != 1.0,
             Self::Inverse(_) => false,
+            Self::Log(weight) => *weight != 1.0,
             Self::Column(_) | Self::Rows(_) | Self::Sigma(_) => true,
         }
     }

@@ -35,7 +35,8 @@ pub struct ExperimentRecord {
     /// outputs.
     #[cfg_attr(feature = "schema", schemars(with = "Weights"))]
     weights: Value,
-    /// The known standard deviation of the noise of each output: a number or a column.
+    /// The known standard deviation of the noise of each output: a number, a column, or a function of
+    /// the simulated value such as `a + b*abs(y)`; `log` compares logarithms.
     #[cfg_attr(feature = "schema", schemars(with = "Pairs<OutputWeight>"))]
     sigma: Value,
     /// The column that drives each input, a column with `hold`, or its constant value.
@@ -75,8 +76,9 @@ impl Experiment {
     /// - `outputs`: the column of each variable. Use a list of pairs if their order matters. Use a list of
     ///   names if columns and variables have the same names;
     /// - `weights`: a number, a column, or `range`, `mean` or `sd` for an output variable or for all outputs;
-    /// - `sigma`: the known standard deviation of the noise of an output variable, as a number or a column.
-    ///   It replaces the weight, see [`Weight::Sigma`];
+    /// - `sigma`: the known standard deviation of the noise of an output variable, as a number, a column, an
+    ///   [`ErrorModel`](crate::ErrorModel) such as `0.1 + 0.05*abs(y)`, or `log` for log-normal noise. It
+    ///   replaces the weight, see [`Weight::of_sigma`];
     /// - `inputs`: the column of a variable, its constant value, or a column whose values are held between
     ///   the rows: `{ column = "u", hold = true }`;
     /// - `initial_states`: a number, `measured`, `measured:` and the name of an output, or the record of a
@@ -99,9 +101,11 @@ impl Experiment {
         let inputs = inputs.collect::<Result<Vec<(Source, String)>, RecordError>>()?;
         let mut weights = weights(&record.weights, &outputs)?;
         for (variable, value) in pairs(&record.sigma, "sigma")? {
+            let column =
+                outputs.iter().find(|(output, _)| *output == variable).map_or("", |(_, column)| column);
             let sigma = match &value {
-                Value::Text(column) => Sigma::Column(column.clone()),
-                number => Sigma::Constant(number.read(&variable)?),
+                Value::Text(text) => Weight::of_sigma(text, column)?,
+                number => Sigma::Constant(number.read(&variable)?).into(),
             };
             for own in of_output(&mut weights, &outputs, &variable, "sigma")? {
                 if !matches!(own, Weight::Constant(1.0)) {
@@ -109,7 +113,7 @@ impl Experiment {
                         format!("output '{variable}' has a weight and a sigma. Specify one of them");
                     return Err(RecordError::message(message).into());
                 }
-                *own = sigma.clone().into();
+                *own = sigma.clone();
             }
         }
 

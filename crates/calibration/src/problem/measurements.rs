@@ -2,7 +2,7 @@
 
 use crate::data::Series;
 use crate::error::CalibrationError;
-use crate::problem::experiment::{Experiment, Measured, Sigma, Weight};
+use crate::problem::experiment::{Experiment, InitialState, Measured, Sigma, Weight};
 use base::Number;
 
 /// Maximum number of sampling intervals between the start of the model and the start of a recording, if no
@@ -15,6 +15,8 @@ pub(crate) struct Counted {
     pub(crate) times: Series,
     pub(crate) values: Series,
     pub(crate) weights: Series,
+    /// True if the values are logarithms of the measurements.
+    pub(crate) is_log: bool,
 }
 
 impl Counted {
@@ -26,7 +28,12 @@ impl Counted {
             return self.clone();
         }
         let of = |series: &Series| (0..n).filter(|row| keep(*row)).map(|row| series[row]).collect();
-        Self { times: of(&self.times), values: of(&self.values), weights: of(&self.weights) }
+        Self {
+            times: of(&self.times),
+            values: of(&self.values),
+            weights: of(&self.weights),
+            is_log: self.is_log,
+        }
     }
 }
 
@@ -138,7 +145,8 @@ fn in_windows(experiment: &Experiment) -> Result<Vec<Counted>, CalibrationError>
     let of_output = |Measured { variable, column, weight }: &Measured| {
         let weights = weights_of_rows(experiment, variable, column, weight)?;
         let measured = data.measured(column, rows.clone())?;
-        let all = Counted { times: data.time_series().clone(), values: measured.clone(), weights };
+        let is_log = matches!(weight, Weight::Log(_));
+        let all = Counted { times: data.time_series().clone(), values: measured.clone(), weights, is_log };
         let counted = all.rows(|row| {
             rows.contains(&row) && !measured[row].is_nan() && all.weights[row] != 0.0 && counts(&time[row])
         });
@@ -149,9 +157,37 @@ fn in_windows(experiment: &Experiment) -> Result<Vec<Counted>, CalibrationError>
                 data.source()
             ));
         }
-        Ok(counted)
+        if is_log { logarithms(experiment, variable, column, counted) } else { Ok(counted) }
     };
     experiment.outputs.iter().map(of_output).collect()
+}
+
+/// Replaces the measurements of an output by their logarithms.
+fn logarithms(
+    experiment: &Experiment,
+    variable: &str,
+    column: &str,
+    counted: Counted,
+) -> Result<Counted, CalibrationError> {
+    if let Some(k) = counted.values.iter().position(|value| *value <= 0.0) {
+        return setup(format!(
+            "{}: the measurement {} of '{variable}' (column '{column}') at time {} must be positive for sigma 'log'. Exclude it with a mask, \
+             or use 'a + b*abs(y)'",
+            experiment.data.source(),
+            Number(counted.values[k]),
+            Number(counted.times[k])
+        ));
+    }
+    let is_start =
+        |(state, initial): &(String, InitialState)| state == variable && *initial == InitialState::Measured;
+    if experiment.initial_states.iter().any(is_start) {
+        return setup(format!(
+            "the simulation starts at a measurement of '{variable}', which cannot have sigma 'log'. Fit the initial state, or use a number \
+             as sigma"
+        ));
+    }
+    let values = counted.values.iter().map(|value| value.ln()).collect();
+    Ok(Counted { values, ..counted })
 }
 
 /// True if the weights only select rows. Such weights do not declare noise.
@@ -163,6 +199,7 @@ pub(crate) fn is_mask(weights: &[f64]) -> bool {
 fn inverse_of_sigma(
     experiment: &Experiment,
     variable: &str,
+    column: &str,
     sigma: &Sigma,
 ) -> Result<Series, CalibrationError> {
     let (data, n) = (&experiment.data, experiment.data.time().len());
@@ -172,6 +209,22 @@ fn inverse_of_sigma(
             return setup(format!("sigma {sigma} of output '{variable}' must be positive and finite"));
         }
         Sigma::Constant(sigma) => return Ok(vec![1.0 / sigma; n].into()),
+        Sigma::Model(_) if experiment.resample.is_some() || data.resampled.is_some() => {
+            return setup(format!(
+                "the sigma of output '{variable}' depends on simulated values, but resample changes the noise. Pass averaged data, \
+                 with the sigma of the means"
+            ));
+        }
+        Sigma::Model(model) => {
+            let measured = data.measured(column, 0..n)?;
+            let sigmas = model.of_measured(model.at_start(measured), measured);
+            if sigmas.contains(&0.0) {
+                return setup(format!(
+                    "sigma '{model}' of output '{variable}' (column '{column}') is 0, because all measurements are 0. Add a constant to sigma"
+                ));
+            }
+            return Ok(sigmas.iter().map(|sigma| 1.0 / sigma).collect());
+        }
         Sigma::Column(column) if data.resampled.is_some() => {
             return setup(format!(
                 "the sigma of output '{variable}' in column '{column}' was averaged by an earlier resampling. Resample the \
@@ -208,15 +261,15 @@ pub(crate) fn weights_of_rows(
 ) -> Result<Series, CalibrationError> {
     let (data, n, measured_column) = (&experiment.data, experiment.data.time().len(), column);
     let (weights, place) = match weight {
-        Weight::Constant(weight) if !(weight.is_finite() && *weight > 0.0) => {
+        Weight::Constant(weight) | Weight::Log(weight) if !(weight.is_finite() && *weight > 0.0) => {
             let hint = if *weight == 0.0 { ". Remove the output instead" } else { "" };
             let weight = Number(*weight);
             return setup(format!(
                 "weight {weight} of output '{variable}' must be positive and finite{hint}"
             ));
         }
-        Weight::Constant(weight) => return Ok(vec![*weight; n].into()),
-        Weight::Sigma(sigma) => return inverse_of_sigma(experiment, variable, sigma),
+        Weight::Constant(weight) | Weight::Log(weight) => return Ok(vec![*weight; n].into()),
+        Weight::Sigma(sigma) => return inverse_of_sigma(experiment, variable, column, sigma),
         Weight::Inverse(scale) => {
             let weight = 1.0 / scale.of(data.measured(column, 0..n)?);
             if weight.is_finite() && weight > 0.0 {

@@ -4,6 +4,7 @@ pub(crate) mod assignment;
 pub(crate) mod column_units;
 pub(crate) mod definition;
 pub(crate) mod document;
+pub(crate) mod error_model;
 pub(crate) mod experiment;
 pub(crate) mod experiment_record;
 pub(crate) mod fingerprint;

@@ -266,18 +266,14 @@ impl NamedCost {
 
 impl CustomCost {
     fn outcome(&self, layout: &ResidualLayout, residuals: &[f64], own: &mut Vec<f64>) -> Outcome {
-        let simulated: Vec<Vec<f64>> = (layout.outputs.iter())
-            .map(|o| {
-                let own = residuals[o.range.clone()].iter().zip(&o.weights).zip(&o.measured);
-                own.map(|((r, w), m)| m + r / w).collect()
-            })
-            .collect();
-        let compared: Vec<Compared<'_>> = (layout.outputs.iter().zip(&simulated))
-            .map(|(o, simulated)| Compared {
+        let values = |o: &OutputResiduals| (o.simulated_values(residuals), o.measured_values());
+        let values: Vec<(Vec<f64>, Vec<f64>)> = layout.outputs.iter().map(values).collect();
+        let compared: Vec<Compared<'_>> = (layout.outputs.iter().zip(&values))
+            .map(|(o, (simulated, measured))| Compared {
                 experiment: o.experiment,
                 variable: &o.variable,
                 times: &o.times,
-                measured: &o.measured,
+                measured,
                 simulated,
             })
             .collect();
@@ -310,6 +306,7 @@ mod tests {
                 range,
                 starts_simulation: false,
                 is_noise_known: false,
+                is_log: false,
             };
         let outputs = vec![output(0, "x", 0..2, 1.0), output(0, "y", 2..5, 2.0), output(1, "x", 5..7, 1.0)];
         ResidualLayout { outputs, ..ResidualLayout::default() }

@@ -40,9 +40,51 @@ pub struct OutputResiduals {
     /// True if the noise is [known](crate::Weight::Sigma): a weighted residual has the standard deviation 1.
     #[serde(default)]
     pub is_noise_known: bool,
+    /// True if [logarithms](crate::Weight::Log) are compared: `measured` contains the logarithms of the
+    /// measurements.
+    #[serde(default)]
+    pub is_log: bool,
 }
 
 impl OutputResiduals {
+    /// Returns the measured values in the unit of the variable.
+    pub fn measured_values(&self) -> Vec<f64> {
+        self.measured.iter().map(|y| self.value(*y)).collect()
+    }
+
+    /// Returns the simulated values in the unit of the variable, up to rounding, from the residual vector
+    /// without a loss.
+    pub fn simulated_values(&self, residuals: &[f64]) -> Vec<f64> {
+        let rows = residuals[self.range.clone()].iter().zip(&self.weights).zip(&self.measured);
+        rows.map(|((r, w), y)| self.value(y + r / w)).collect()
+    }
+
+    /// Returns simulated minus measured values in the unit of the variable, from the residual vector without
+    /// a loss.
+    pub fn differences(&self, residuals: &[f64]) -> Vec<f64> {
+        let rows = residuals[self.range.clone()].iter().zip(&self.weights).zip(&self.measured);
+        rows.map(|((r, w), y)| if self.is_log { (y + r / w).exp() - y.exp() } else { r / w }).collect()
+    }
+
+    /// Returns the row of each measurement in a recording with these times and measured values.
+    pub(crate) fn rows_of(&self, time: &[f64], recorded: &[f64]) -> Vec<usize> {
+        let mut rows = Vec::with_capacity(self.times.len());
+        // Both are in the order of the recording.
+        for (row, (time, recorded)) in time.iter().zip(recorded).enumerate() {
+            let k = rows.len();
+            let compared = if self.is_log { recorded.ln() } else { *recorded };
+            if k < self.times.len() && (*time, compared) == (self.times[k], self.measured[k]) {
+                rows.push(row);
+            }
+        }
+        rows
+    }
+
+    /// Returns a value of the variable from a compared value.
+    pub(crate) fn value(&self, compared: f64) -> f64 {
+        if self.is_log { compared.exp() } else { compared }
+    }
+
     /// Returns the indices of residuals with noise. It excludes residuals of weight zero and the residual of
     /// the measurement that a simulation starts from.
     pub(crate) fn noisy_rows(&self) -> impl Iterator<Item = usize> + '_ {

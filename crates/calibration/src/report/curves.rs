@@ -117,10 +117,9 @@ impl Calibration {
                     let trajectory = trajectory.as_ref()?;
                     Some(signal(&trajectory.time, trajectory.columns.get(series.output)?))
                 };
-                let own = residuals[series.range.clone()].iter().zip(&series.weights);
                 OutputCurves {
-                    measured: signal(&series.times, &series.measured),
-                    residuals: own.map(|(r, w)| r / w).collect(),
+                    measured: signal(&series.times, &series.measured_values()),
+                    residuals: series.differences(&residuals),
                     start: curve(&at_start),
                     fitted: curve(&at_end),
                 }

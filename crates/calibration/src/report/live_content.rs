@@ -183,10 +183,15 @@ impl LiveSubject {
             };
             let simulated = |residuals: &[f64]| {
                 let own = residuals.get(output.range.clone()).unwrap_or_default();
-                signal(own.iter().zip(&output.measured).map(|(r, measured)| measured + r).collect())
+                signal(
+                    own.iter()
+                        .zip(&output.measured)
+                        .map(|(r, measured)| output.value(measured + r))
+                        .collect(),
+                )
             };
             let curves = OutputCurves {
-                measured: signal(output.measured.to_vec()),
+                measured: signal(output.measured_values()),
                 residuals: found.at_best.get(output.range.clone()).unwrap_or_default().to_vec(),
                 start: found.at_start.as_deref().map(simulated),
                 fitted: Some(simulated(&found.at_best)),

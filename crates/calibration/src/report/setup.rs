@@ -105,6 +105,8 @@ fn output(Measured { variable, column, weight }: &Measured) -> String {
         Weight::Inverse(scale) => format!(", weight 1 / {} of what was measured", scale.name()),
         Weight::Sigma(Sigma::Constant(sigma)) => format!(", known sigma {}", Number(*sigma)),
         Weight::Sigma(Sigma::Column(column)) => format!(", known sigma in column {column}"),
+        Weight::Log(_) => ", logarithms are compared".to_owned(),
+        Weight::Sigma(Sigma::Model(model)) => format!(", sigma {model}"),
         Weight::Sigma(Sigma::Rows(_)) => ", a known sigma for each row".to_owned(),
     };
     format!("{variable} measured by column {column}{weight}")

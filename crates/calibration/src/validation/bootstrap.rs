@@ -184,7 +184,11 @@ impl Calibration {
         let free_part = goodness.nvarys as f64 / goodness.ndata as f64;
         let errors = |output: &OutputResiduals| {
             let own = output.noisy_rows().map(|row| residuals[row]).collect();
-            Errors::new(own, free_part, output.is_noise_known || fit.noise == Some(FitNoise::Known))
+            Errors::new(
+                own,
+                free_part,
+                output.is_noise_known || fit.noise.as_ref().is_some_and(FitNoise::is_known),
+            )
         };
         let errors: Vec<Errors> = self.residual_layout().outputs.iter().map(errors).collect();
         self.prepare()?;
@@ -228,11 +232,15 @@ impl Calibration {
         // New values by experiment and column, by time and old value.
         let mut moved: BTreeMap<(usize, &str), NewValues> = BTreeMap::new();
         for (output, errors) in self.residual_layout().outputs.iter().zip(errors) {
+            let data = &self.problem().experiments[output.experiment].data;
+            let recorded = data.measured(&output.column, 0..data.time().len())?;
+            let rows = output.rows_of(data.time(), recorded);
             let column = moved.entry((output.experiment, &output.column)).or_default();
             for (row, error) in output.noisy_rows().zip(errors) {
                 let k = row - output.range.start;
-                let (time, old) = (output.times[k], output.measured[k]);
-                let new = old + (residuals[row] + error) / output.weights[k];
+                let Some(old) = rows.get(k).map(|row| recorded[*row]) else { continue };
+                let time = output.times[k];
+                let new = output.value(output.measured[k] + (residuals[row] + error) / output.weights[k]);
                 column.entry((time.to_bits(), old.to_bits())).or_insert(new);
             }
         }

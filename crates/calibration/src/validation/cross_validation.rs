@@ -211,7 +211,7 @@ impl Calibration {
             let (objective, stats) = (&options.objective, &mut validation.stats);
             let found = fitted.cost_and_residuals(&fit.x, objective, RobustLoss::default(), context, stats);
             validation.n_simulations += 1;
-            fit_rms = found.map_or(f64::NAN, |(_, r)| fitted.rms_of(&r, fitted.residual_layout()));
+            fit_rms = found.map_or(f64::NAN, |(_, r)| fitted.rms_of(&r, fitted.residual_layout(), None));
         }
         Ok(Fold { held_out: names, fit, fit_rms, validation })
     }

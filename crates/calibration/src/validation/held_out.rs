@@ -6,7 +6,7 @@ use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, table};
 use crate::findings::identifier::FindingId;
 use crate::findings::shown_text::{digits, visible_line};
-use crate::fit::one_stage::{Fit, FitOptions, NoiseRule};
+use crate::fit::one_stage::{Fit, FitNoise, FitOptions, NoiseRule};
 use crate::fit::output_fit::OutputFit;
 use crate::loaded::calibration::Calibration;
 use crate::problem::experiment::Experiment;
@@ -120,7 +120,8 @@ impl Calibration {
     /// Simulates with the parameters of a fit of this calibration and compares with measurements that the fit
     /// has not used. Other recordings may have local parameters that the fit does not contain. These are
     /// first fitted to the recordings, from their start values there, with the same cost and loss while all
-    /// others are held. All RMS values use plain residuals, with every loss.
+    /// others are held. All RMS values use plain residuals, with every loss. Error models have the
+    /// coefficients of the fit and use the measured values instead of the simulated ones.
     ///
     /// ```
     /// use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, ValidationSet};
@@ -150,6 +151,25 @@ impl Calibration {
         context: &RunContext<'_>,
     ) -> Result<Validation, CalibrationError> {
         self.check_length(&fit.x)?;
+        let models =
+            fit.noise.as_ref().and_then(FitNoise::estimated).filter(|noise| !noise.models.is_empty());
+        if let Some(noise) = models {
+            // Standard deviations of the fit belong to its own measurements; its coefficients hold everywhere.
+            let with_models_stated = |experiments: &[Experiment]| {
+                let mut problem = self.problem().clone();
+                problem.experiments = experiments.to_vec();
+                noise.state_models(&mut problem);
+                problem.experiments
+            };
+            let mut problem = self.problem().clone();
+            problem.experiments = with_models_stated(&problem.experiments);
+            let fit = Fit { noise: Some(FitNoise::Estimated(noise.without_models())), ..fit.clone() };
+            let set = match set {
+                ValidationSet::Experiments(other) => ValidationSet::Experiments(with_models_stated(other)),
+                windows => windows.clone(),
+            };
+            return self.derived(problem)?.validate(&fit, &set, context);
+        }
         match set {
             ValidationSet::Windows(windows) => {
                 let other = self.windowed(windows)?;
@@ -241,13 +261,11 @@ impl Calibration {
         let start = residuals.map(|residuals| PointResiduals { x: start.to_vec(), residuals });
         let fits = self.output_fits(&end, start.as_ref());
         let outputs = self.residual_layout().outputs.iter().zip(fits).map(|(own, fit)| {
-            let plain = |of: &PointResiduals| {
-                of.residuals[own.range.clone()].iter().zip(&own.weights).map(|(r, w)| r / w).collect()
-            };
+            let plain = |of: &PointResiduals| own.differences(&of.residuals);
             ValidatedOutput {
                 fit,
                 times: own.times.to_vec(),
-                measured: own.measured.to_vec(),
+                measured: own.measured_values(),
                 residuals: plain(&end),
                 start_residuals: start.as_ref().map(plain),
             }

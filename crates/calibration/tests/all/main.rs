@@ -8,6 +8,7 @@ mod support;
 mod check;
 mod co_simulation;
 mod coverage;
+mod error_model;
 mod initial_states;
 mod live_page;
 mod mistakes;

@@ -63,13 +63,14 @@ impl Calibration {
             findings.extend(found);
         }
         let is_estimated = made.noise.as_ref().is_some_and(|noise| noise.estimated().is_some());
+        let noise = made.noise.as_ref();
         let mut rms = |x: &[f64], cost: f64| match residuals.at(x) {
             _ if objective.is_sum_of_squares() && !is_estimated => Some(self.rms(x, cost)),
             // With another cost or other weights, the residuals must be known.
-            Some(known) => Some(self.rms_of(known, own.residual_layout())),
+            Some(known) => Some(self.rms_of(known, own.residual_layout(), noise)),
             None => {
                 let found = own.cost_and_residuals(x, objective, *loss, context, &mut stats);
-                found.map(|(_, residuals)| self.rms_of(&residuals, own.residual_layout()))
+                found.map(|(_, residuals)| self.rms_of(&residuals, own.residual_layout(), noise))
             }
         };
         let (rms, start_rms) = match job.loss.is_linear() {
@@ -77,7 +78,7 @@ impl Calibration {
             // The cost with a loss does not determine the differences.
             false => {
                 let plain = |at: &Option<PointResiduals>| {
-                    at.as_ref().map(|at| self.rms_of(&at.residuals, own.residual_layout()))
+                    at.as_ref().map(|at| self.rms_of(&at.residuals, own.residual_layout(), noise))
                 };
                 (plain(&ends.end), plain(&ends.start))
             }
@@ -201,7 +202,7 @@ impl Calibration {
             false => Vec::new(),
         };
         if is_compared {
-            let is_known = made.noise == Some(FitNoise::Known);
+            let is_known = made.noise.as_ref().is_some_and(FitNoise::is_known);
             let is_free = |(i, p): (usize, &Parameter)| {
                 let is_at_bound = made.searched.stuck.at_bound.iter().any(|(k, _)| *k == i);
                 !(p.is_fixed() || p.lower() == p.upper() || job.held.contains(&i) || is_at_bound)
@@ -248,9 +249,19 @@ impl Calibration {
     }
 
     /// Returns the root of the mean squared residual of the measurements with the weights of this
-    /// calibration. `residuals` have the weights of another layout.
-    pub(crate) fn rms_of(&self, residuals: &[f64], weights: &ResidualLayout) -> f64 {
-        let own = self.residual_layout().reweighed(residuals, weights);
+    /// calibration. `residuals` have the weights of another layout. Outputs with an error model keep the
+    /// weights of the fit.
+    pub(crate) fn rms_of(
+        &self,
+        residuals: &[f64],
+        weights: &ResidualLayout,
+        noise: Option<&FitNoise>,
+    ) -> f64 {
+        let mut layout = self.residual_layout().clone();
+        if let Some(noise) = noise.and_then(FitNoise::estimated) {
+            noise.weigh_models(self.problem(), &mut layout);
+        }
+        let own = layout.reweighed(residuals, weights);
         let n = self.n_measurements();
         (sum_of_squares(&own[..n]) / n as f64).sqrt()
     }
@@ -309,7 +320,7 @@ impl Calibration {
                 ToleranceMeasure::Absolute => tolerances.f_tol / report.fun.abs(),
             },
             criterion,
-            is_noise_known: options.is_noise_known || *noise == Some(FitNoise::Known),
+            is_noise_known: options.is_noise_known || noise.as_ref().is_some_and(FitNoise::is_known),
         };
         // For several stages, the assessment after the last stage includes the accuracy.
         if job.is_part {

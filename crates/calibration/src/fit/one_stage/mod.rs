@@ -10,7 +10,7 @@ mod search;
 mod simulation_executor;
 mod tolerance;
 
-pub use noise::{EstimatedNoise, FitNoise, NoiseRule, OutputNoise};
+pub use noise::{EstimatedNoise, FitNoise, ModelledNoise, NoiseRule, OutputNoise, SigmaSeries};
 pub(crate) use noise_iterations::{add_earlier, checkpoint_of, ended_by};
 pub use options::{FitObserver, FitOptions, FitRecord};
 pub use result::Fit;

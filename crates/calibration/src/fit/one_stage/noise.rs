@@ -9,11 +9,12 @@ use crate::findings::identifier::FindingId;
 use crate::findings::shown_text::digits;
 use crate::loaded::calibration::Calibration;
 use crate::problem::definition::Problem;
-use crate::problem::experiment::Weight;
+use crate::problem::error_model::{Coefficient, ErrorModel, FittedRow};
+use crate::problem::experiment::{Sigma, Weight};
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
 use crate::uncertainty::robust::{MEDIAN_DEVIATION, median};
 use crate::uncertainty::row_blocks::{ThinSvd, thin_svd};
-use base::RunContext;
+use base::{Number, RunContext};
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -64,21 +65,39 @@ impl FitNoise {
             Self::Estimated(estimated) => Some(estimated),
         }
     }
+
+    /// True if the noise of all outputs is known, so that standard errors are absolute.
+    pub fn is_known(&self) -> bool {
+        *self == Self::Known || self.estimated().is_some_and(|noise| noise.is_known)
+    }
+
+    /// Returns the outputs with an error model; empty if there are none.
+    pub fn models(&self) -> &[ModelledNoise] {
+        self.estimated().map_or(&[], |noise| &noise.models)
+    }
 }
 
 /// Describes the source and the size of the noise.
 impl fmt::Display for FitNoise {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self::Estimated(EstimatedNoise { outputs, n_rounds, .. }) = self else {
+        let Self::Estimated(EstimatedNoise { outputs, models, n_rounds, .. }) = self else {
             return f.write_str(match self {
                 Self::Known => "known (sigma)",
                 _ => "stated by the weights (1 over its standard deviation)",
             });
         };
         let rounds = if *n_rounds == 1 { "round" } else { "rounds" };
-        write!(f, "estimated with the parameters in {n_rounds} {rounds}, standard deviation ")?;
+        let is_estimated = !outputs.is_empty() || models.iter().any(|own| own.model.is_fitted());
+        let source = if is_estimated { "estimated with the parameters" } else { "known (sigma)" };
+        write!(f, "{source} in {n_rounds} {rounds}")?;
         for (k, OutputNoise { variable, sd, .. }) in outputs.iter().enumerate() {
-            write!(f, "{}{variable} {}", if k == 0 { "" } else { ", " }, digits(*sd))?;
+            write!(f, ", {}{variable} {}", if k == 0 { "standard deviation " } else { "" }, digits(*sd))?;
+        }
+        for own in models {
+            write!(f, ", sigma of {} {}", own.variable, own.model)?;
+            for (name, value) in own.coefficients() {
+                write!(f, ", {name} = {}", digits(value))?;
+            }
         }
         Ok(())
     }
@@ -102,9 +121,16 @@ impl fmt::Display for FitNoise {
 pub struct EstimatedNoise {
     /// Noise of each variable of the model, over all of its recordings, in the order of the residual vector.
     pub outputs: Vec<OutputNoise>,
+    /// Outputs whose noise depends on the simulated values.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub models: Vec<ModelledNoise>,
+    /// True if the noise of all outputs is known: nothing is estimated, and the fits only follow the
+    /// simulated values.
+    #[serde(default)]
+    pub is_known: bool,
     /// Number of fits.
     pub n_rounds: usize,
-    /// True if the residuals of the last fit confirm its noise to 1 %.
+    /// True if the residuals of the last fit confirm its noise: estimates to 1 %, error models to 0.01 %.
     pub is_settled: bool,
     /// True if the noise of all outputs is estimated. False if the weights of some outputs already specify
     /// it.
@@ -126,6 +152,175 @@ pub struct OutputNoise {
     pub is_of_residuals: bool,
 }
 
+/// Noise of a variable with an [`ErrorModel`].
+///
+/// The fits alternate with the standard deviations at their simulated values and with the estimates of the
+/// coefficients, if any (iterated generalised least squares: Carroll and Ruppert, Transformation and
+/// Weighting in Regression, 1988, section 2.4).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[non_exhaustive]
+pub struct ModelledNoise {
+    /// Name of the variable.
+    pub variable: String,
+    /// Requested error model.
+    pub model: ErrorModel,
+    /// Constant term, stated or estimated, in the unit of the variable.
+    pub a: f64,
+    /// Factor of the size of the simulated value, stated or estimated.
+    pub b: f64,
+    /// True if the residuals determine the estimated coefficients, or if there are none.
+    pub is_of_residuals: bool,
+    /// Standard deviations of the last fit, for each recording of the variable.
+    pub series: Vec<SigmaSeries>,
+}
+
+/// Standard deviations of the measurements of an output.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[non_exhaustive]
+pub struct SigmaSeries {
+    /// Index of the experiment, from 0.
+    pub experiment: usize,
+    /// Index of the output within the experiment, from 0.
+    pub output: usize,
+    /// One value for each row of the recording, in the unit of the variable. Rows that do not count have the
+    /// value at the measurement, or infinity.
+    pub sigma: Vec<f64>,
+    /// Sum of the logarithms of the standard deviations that count.
+    pub sum_of_logarithms: f64,
+}
+
+impl ModelledNoise {
+    /// Returns the names and values of the estimated coefficients.
+    pub fn coefficients(&self) -> impl Iterator<Item = (&str, f64)> {
+        let all = [(&self.model.constant, self.a), (&self.model.proportional, self.b)];
+        all.into_iter().filter_map(|(of, value)| Some((of.name()?, value)))
+    }
+
+    /// True if the noise belongs to this output of a problem.
+    fn is_of(&self, problem: &Problem, output: &OutputResiduals) -> bool {
+        self.variable == output.variable && weight(problem, output).error_model() == Some(&self.model)
+    }
+
+    /// Returns the noise before the first fit, from the measured values.
+    fn first(
+        calibration: &Calibration,
+        variable: &str,
+        model: &ErrorModel,
+    ) -> Result<Self, CalibrationError> {
+        let own = Self {
+            variable: variable.to_owned(),
+            model: model.clone(),
+            a: 0.0,
+            b: 0.0,
+            is_of_residuals: !model.is_fitted(),
+            series: Vec::new(),
+        };
+        let (problem, layout) = (calibration.problem(), calibration.residual_layout());
+        let outputs = || layout.outputs.iter().filter(|output| own.is_of(problem, output));
+        let measured: Vec<f64> = outputs().flat_map(|output| output.measured.iter().copied()).collect();
+        let [a, b] = model.at_start(&measured);
+        let series = outputs().map(|output| own.series(problem, output, [a, b], None));
+        let series = series.collect::<Result<_, _>>()?;
+        Ok(Self { a, b, series, ..own })
+    }
+
+    /// Returns the standard deviations of an output at its simulated values, or at its measured values.
+    fn series(
+        &self,
+        problem: &Problem,
+        output: &OutputResiduals,
+        [a, b]: [f64; 2],
+        simulated: Option<&[f64]>,
+    ) -> Result<SigmaSeries, CalibrationError> {
+        let experiment = &problem.experiments[output.experiment];
+        let measured = experiment.data.measured(&output.column, 0..experiment.data.time().len())?;
+        let mut sigma = self.model.of_measured([a, b], measured);
+        let mut sum_of_logarithms = 0.0;
+        for (k, row) in rows_of(problem, output)?.into_iter().enumerate() {
+            if let Some(simulated) = simulated {
+                sigma[row] = a + b * simulated[k].abs();
+            }
+            if !(sigma[row] > 0.0) {
+                return Err(CalibrationError::Setup(format!(
+                    "sigma '{}' of output '{}' (column '{}') is {} at time {}, where the simulated value is {}. Add a constant to sigma, or \
+                     exclude the measurement",
+                    self.model,
+                    output.variable,
+                    output.column,
+                    Number(sigma[row]),
+                    Number(output.times[k]),
+                    Number(simulated.map_or(f64::NAN, |simulated| simulated[k]))
+                )));
+            }
+            sum_of_logarithms += sigma[row].ln();
+        }
+        sigma.iter_mut().filter(|sigma| !(**sigma > 0.0)).for_each(|sigma| *sigma = f64::INFINITY);
+        Ok(SigmaSeries { experiment: output.experiment, output: output.output, sigma, sum_of_logarithms })
+    }
+
+    /// Returns the noise after a fit with this noise.
+    fn next(
+        &self,
+        calibration: &Calibration,
+        residuals: &[f64],
+        leverages: &[f64],
+    ) -> Result<Self, CalibrationError> {
+        let (problem, layout) = (calibration.problem(), calibration.residual_layout());
+        let (mut all, mut fitted) = (Vec::new(), Vec::new());
+        let outputs = layout.outputs.iter().filter(|output| self.is_of(problem, output));
+        for (output, SigmaSeries { sigma, .. }) in outputs.zip(&self.series) {
+            let rows = rows_of(problem, output)?;
+            let differences: Vec<f64> =
+                output.range.clone().zip(rows).map(|(i, row)| residuals[i] * sigma[row]).collect();
+            let simulated: Vec<f64> = output.measured.iter().zip(&differences).map(|(y, d)| y + d).collect();
+            fitted.extend(output.noisy_rows().map(|i| {
+                let k = i - output.range.start;
+                let leverage = leverages.get(i).copied().unwrap_or(0.0);
+                FittedRow { simulated: simulated[k], difference: differences[k], leverage }
+            }));
+            all.push((output, simulated));
+        }
+        let mut next = self.clone();
+        if self.model.is_fitted() {
+            let degrees: f64 = fitted.iter().map(|row| 1.0 - row.leverage).sum();
+            let found = self.model.estimate(&fitted).filter(|_| degrees > FEWEST);
+            next.is_of_residuals = found.is_some();
+            [next.a, next.b] = found.unwrap_or([self.a, self.b]);
+            // Residuals of exact data are simulation errors.
+            let size = fitted.iter().map(|row| row.simulated.abs()).sum::<f64>() / fitted.len() as f64;
+            let least = calibration.relative_tolerance();
+            if next.a + next.b * size < least * size {
+                match self.model.constant.name() {
+                    Some(_) => next.a = least * size,
+                    None => next.b = least,
+                }
+            }
+        }
+        let series = all.iter().map(|(output, y)| next.series(problem, output, [next.a, next.b], Some(y)));
+        next.series = series.collect::<Result<_, _>>()?;
+        Ok(next)
+    }
+
+    /// True if no standard deviation differs by more than the tolerance that ends the rounds.
+    fn is_close(&self, other: &Self) -> bool {
+        let is_close = |a: &f64, b: &f64| a == b || (a / b).ln().abs() <= MODEL_SETTLED;
+        let mut pairs = self.series.iter().zip(&other.series);
+        pairs.all(|(a, b)| a.sigma.iter().zip(&b.sigma).all(|(a, b)| is_close(a, b)))
+    }
+}
+
+/// Returns the row of the recording of each measurement of an output.
+fn rows_of(problem: &Problem, output: &OutputResiduals) -> Result<Vec<usize>, CalibrationError> {
+    let data = &problem.experiments[output.experiment].data;
+    Ok(output.rows_of(data.time(), data.measured(&output.column, 0..data.time().len())?))
+}
+
+/// Relative change of the standard deviations of error models that ends the rounds. A change of all standard
+/// deviations by this factor moves a parameter by about the same part of its standard error.
+const MODEL_SETTLED: f64 = 1e-4;
+
 /// Estimates that differ by less than this fraction are considered equal.
 const SETTLED: f64 = 0.01;
 
@@ -136,17 +331,36 @@ pub(super) const MOST_ROUNDS: usize = 10;
 const FEWEST: f64 = 2.0;
 
 impl EstimatedNoise {
-    /// Returns the first estimate, from the differences between neighbouring measurements. Returns `None` if
-    /// there is nothing to estimate.
-    pub(super) fn first(calibration: &Calibration, rule: NoiseRule) -> Option<Self> {
+    /// Returns the first estimate, from the differences between neighbouring measurements, and the error
+    /// models at the measured values. Without `estimates`, there are only error models. Returns `None` if the
+    /// noise does not change between fits.
+    pub(super) fn first(
+        calibration: &Calibration,
+        rule: NoiseRule,
+        estimates: bool,
+    ) -> Result<Option<Self>, CalibrationError> {
+        let layout = calibration.residual_layout();
+        let is_known = |output: &OutputResiduals| match weight(calibration.problem(), output).error_model() {
+            Some(model) => !model.is_fitted(),
+            None => output.is_noise_known || rule == NoiseRule::Stated,
+        };
         let mut own = Self {
             outputs: Vec::new(),
+            models: Vec::new(),
+            is_known: layout.outputs.iter().all(is_known),
             n_rounds: 0,
             is_settled: false,
             is_of_all: rule == NoiseRule::Estimated,
         };
-        let (problem, layout) = (calibration.problem(), calibration.residual_layout());
+        let problem = calibration.problem();
         for output in &layout.outputs {
+            if let Some(model) = weight(problem, output).error_model()
+                && !own.models.iter().any(|known| known.is_of(problem, output))
+            {
+                own.models.push(ModelledNoise::first(calibration, &output.variable, model)?);
+            }
+        }
+        for output in layout.outputs.iter().filter(|_| estimates) {
             let is_known = own.outputs.iter().any(|known| known.variable == output.variable);
             if is_known || !own.is_of(problem, output) {
                 continue;
@@ -169,13 +383,30 @@ impl EstimatedNoise {
             let sd = sd.unwrap_or(if least > 0.0 { least } else { 1.0 });
             own.outputs.push(OutputNoise { variable: output.variable.clone(), sd, is_of_residuals: false });
         }
-        (!own.outputs.is_empty()).then_some(own)
+        let is_fixed = own.outputs.is_empty() && own.models.is_empty();
+        Ok((!is_fixed).then_some(own))
+    }
+
+    /// True if a part of the noise is estimated from residuals.
+    pub(super) fn needs_leverages(&self) -> bool {
+        !self.outputs.is_empty() || self.models.iter().any(|own| own.model.is_fitted())
     }
 
     /// Returns the next estimate from the residuals of a fit with this estimate and their [`leverages`].
-    pub(super) fn next(&self, calibration: &Calibration, residuals: &[f64], leverages: &[f64]) -> Self {
+    ///
+    /// # Errors
+    /// Returns an error if the standard deviation of an error model is zero.
+    pub(super) fn next(
+        &self,
+        calibration: &Calibration,
+        residuals: &[f64],
+        leverages: &[f64],
+    ) -> Result<Self, CalibrationError> {
         let (problem, layout) = (calibration.problem(), calibration.residual_layout());
         let mut next = self.clone();
+        for own in &mut next.models {
+            *own = own.next(calibration, residuals, leverages)?;
+        }
         for noise in &mut next.outputs {
             let (mut squares, mut degrees, mut weighted) = (0.0, 0.0, Vec::new());
             let same = layout.outputs.iter().filter(|o| o.variable == noise.variable);
@@ -194,13 +425,14 @@ impl EstimatedNoise {
                 noise.sd = if found > 0.0 { found } else { noise.sd };
             }
         }
-        next
+        Ok(next)
     }
 
     /// True if the two estimates of the same outputs differ by at most the tolerance that ends the rounds.
     pub(super) fn is_close(&self, other: &Self) -> bool {
         let mut pairs = self.outputs.iter().zip(&other.outputs);
         pairs.all(|(a, b)| (a.sd / b.sd).ln().abs() <= SETTLED)
+            && self.models.iter().zip(&other.models).all(|(a, b)| a.is_close(b))
     }
 
     /// True if the estimate applies to an output.
@@ -210,7 +442,7 @@ impl EstimatedNoise {
 
     /// True if the estimate applies to an output with this weight. Known noise is never estimated.
     fn sd_applies(&self, weight: &Weight) -> bool {
-        !weight.is_known_noise() && (self.is_of_all || !weight.states_noise())
+        !matches!(weight, Weight::Sigma(_)) && (self.is_of_all || !weight.states_noise())
     }
 
     /// Returns the standard deviation that divides the weights of a variable. Returns `None` if the weights
@@ -232,12 +464,22 @@ impl EstimatedNoise {
     /// # Errors
     /// Returns an error if a column of weights does not exist.
     pub(super) fn weigh(&self, problem: &mut Problem) -> Result<(), CalibrationError> {
+        for own in &self.models {
+            for SigmaSeries { experiment, output, sigma, .. } in &own.series {
+                let weight = &mut problem.experiments[*experiment].outputs[*output].weight;
+                *weight = match own.model.is_fitted() {
+                    true => Weight::Rows(sigma.iter().map(|sigma| 1.0 / sigma).collect()),
+                    false => Sigma::Rows(sigma.clone().into()).into(),
+                };
+            }
+        }
         for experiment in &mut problem.experiments {
             for output in &mut experiment.outputs {
                 let Some(sd) = self.sd(&output.variable, &output.weight) else { continue };
                 let divided = |weights: &[f64]| Weight::Rows(weights.iter().map(|w| w / sd).collect());
                 output.weight = match &output.weight {
                     Weight::Constant(weight) => Weight::Constant(weight / sd),
+                    Weight::Log(weight) => Weight::Log(weight / sd),
                     Weight::Inverse(_) => Weight::Constant(1.0 / sd),
                     Weight::Column(column) => divided(experiment.data.series(column)?),
                     Weight::Rows(weights) => divided(weights),
@@ -251,9 +493,39 @@ impl EstimatedNoise {
 
     /// Replaces the weights of a layout by the weights of the fit.
     pub(super) fn weigh_layout(&self, problem: &Problem, layout: &mut ResidualLayout) {
+        self.weigh_models(problem, layout);
         for output in &mut layout.outputs {
             if let Some(sd) = self.sd(&output.variable, weight(problem, output)) {
                 output.weights = (0..output.weights.len()).map(|k| base(problem, output, k) / sd).collect();
+            }
+        }
+    }
+
+    /// Replaces the weights of the outputs with an error model by those of the fit.
+    pub(super) fn weigh_models(&self, problem: &Problem, layout: &mut ResidualLayout) {
+        for SigmaSeries { experiment, output, sigma, .. } in self.models.iter().flat_map(|own| &own.series) {
+            let is_own = |o: &&mut OutputResiduals| (o.experiment, o.output) == (*experiment, *output);
+            let Some(own) = layout.outputs.iter_mut().find(is_own) else { continue };
+            if let Ok(rows) = rows_of(problem, own) {
+                own.weights = rows.into_iter().map(|row| 1.0 / sigma[row]).collect();
+            }
+        }
+    }
+
+    /// Returns the estimates without the error models.
+    pub(crate) fn without_models(&self) -> Self {
+        Self { models: Vec::new(), ..self.clone() }
+    }
+
+    /// Replaces estimated coefficients of error models by their values, for other recordings.
+    pub(crate) fn state_models(&self, problem: &mut Problem) {
+        for output in problem.experiments.iter_mut().flat_map(|experiment| &mut experiment.outputs) {
+            let is_own = |own: &&ModelledNoise| {
+                own.variable == output.variable && output.weight.error_model() == Some(&own.model)
+            };
+            if let Some(ModelledNoise { a, b, .. }) = self.models.iter().find(is_own) {
+                let [constant, proportional] = [*a, *b].map(Coefficient::Stated);
+                output.weight = Sigma::Model(ErrorModel { constant, proportional }).into();
             }
         }
     }
@@ -275,12 +547,25 @@ impl EstimatedNoise {
                 )
             })
             .collect();
+        let start = |own: &&ModelledNoise| !own.is_of_residuals;
+        found.extend(self.models.iter().filter(start).map(|own| {
+            Finding::warning(
+                FindingId::RoughNoiseEstimate,
+                format!("noise of {}", own.variable),
+                format!(
+                    "the coefficients of sigma '{}' are not estimated, because there are too few residuals or the search ended early. The \
+                     weights of the fit are approximate",
+                    own.model
+                ),
+                "Write numbers instead of names in sigma",
+            )
+        }));
         if !self.is_settled && self.n_rounds >= MOST_ROUNDS {
             found.push(Finding::warning(
                 FindingId::RoughNoiseEstimate,
                 "noise",
                 format!(
-                    "the estimates still changed by more than 1 % after {MOST_ROUNDS} fits. The weights of the fit are approximate"
+                    "the estimates or error models still changed after {MOST_ROUNDS} fits. The weights of the fit are approximate"
                 ),
                 "Set the weights to 1 over the standard deviation",
             ));

@@ -139,6 +139,9 @@ impl Turns {
         for (own, next) in self.noise.outputs.iter_mut().zip(&next.outputs) {
             own.is_of_residuals |= self.noise.is_settled && next.is_of_residuals;
         }
+        for (own, next) in self.noise.models.iter_mut().zip(&next.models) {
+            own.is_of_residuals |= self.noise.is_settled && next.is_of_residuals;
+        }
         self.noise.is_settled
     }
 }
@@ -176,7 +179,7 @@ impl Job<'_> {
 
 /// Records that a fit ended before its noise was known.
 fn end_early(report: &mut Report, termination: Termination) {
-    report.message += &format!("; the fit ended before the noise was estimated to 1 %: {termination}");
+    report.message += &format!("; the fit ended before the noise settled: {termination}");
     report.termination = termination;
 }
 
@@ -245,8 +248,7 @@ impl Calibration {
                 && this.has_priors()
                 && job.objective.is_sum_of_squares()
                 && job.loss.is_linear());
-        let first = if estimates { EstimatedNoise::first(this, rule) } else { None };
-        let mut made = match first {
+        let mut made = match EstimatedNoise::first(this, rule, estimates)? {
             Some(first) => this.take_turns(first, job, stats)?,
             None => {
                 let searched = this.search(job, stats)?;
@@ -310,9 +312,14 @@ impl Calibration {
                     .map(|start| self.residual_layout().reweighed(&start.residuals, own.residual_layout()));
             }
             let next = match ends.end.filter(|_| searched.report.termination.cause() == Cause::Search) {
-                Some(end) => own
-                    .leverages_at(&searched, &end.residuals, job, stats)?
-                    .map(|leverages| turns.noise.next(self, &end.residuals, &leverages)),
+                Some(end) => {
+                    let leverages = match turns.noise.needs_leverages() {
+                        true => own.leverages_at(&searched, &end.residuals, job, stats)?,
+                        false => Some(Vec::new()),
+                    };
+                    let next = leverages.map(|leverages| turns.noise.next(self, &end.residuals, &leverages));
+                    next.transpose()?
+                }
                 None => None,
             };
             let Some(next) = next else { break (own, searched) };

@@ -256,6 +256,15 @@ impl<'a> Job<'a> {
                 known.variable
             )));
         }
+        let weights = calibration.problem().experiments.iter().flat_map(|e| &e.outputs);
+        if let Some(model) = weights.filter_map(|output| output.weight.error_model()).next()
+            && !(options.objective.is_sum_of_squares() && options.loss.is_linear())
+        {
+            return Err(CalibrationError::Setup(format!(
+                "sigma '{model}' depends on simulated values, which requires the sum of squares without a robust loss. Use a column or a number \
+                 as sigma, or omit the loss and the objective"
+            )));
+        }
         run.workers.get_or_insert_with(base::available_cores);
         let start = options.start.unwrap_or_else(|| calibration.start());
         calibration.check_start(&start)?;

@@ -100,7 +100,7 @@ impl Calibration {
     /// Returns the expected sum of the squared residuals due to noise, from the differences between
     /// neighbouring measurements.
     fn squares_of_noise(&self, loss: RobustLoss) -> f64 {
-        let Some(noise) = EstimatedNoise::first(self, NoiseRule::Estimated) else { return 0.0 };
+        let Ok(Some(noise)) = EstimatedNoise::first(self, NoiseRule::Estimated, true) else { return 0.0 };
         let of = |output: &OutputResiduals| {
             let weighted = output.measured.iter().zip(&output.weights).map(|(y, w)| y * w);
             let size: f64 = weighted.map(|y| y * y).sum();

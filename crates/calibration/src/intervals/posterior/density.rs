@@ -50,7 +50,8 @@ impl LogDensity {
             !is_likelihood
                 && match &fit.noise {
                     Some(FitNoise::Known | FitNoise::Stated) => true,
-                    Some(FitNoise::Estimated(_)) | None => output.is_noise_known,
+                    Some(FitNoise::Estimated(noise)) => noise.is_known || output.is_noise_known,
+                    None => output.is_noise_known,
                 }
         };
         let mut groups: Vec<NoiseGroup> = Vec::new();

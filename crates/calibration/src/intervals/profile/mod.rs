@@ -139,7 +139,7 @@ impl Calibration {
             f_tol: refit::F_TOL * normal / (n_residuals as f64).max(normal),
             stats: Mutex::default(),
         };
-        let noise = if fit.noise == Some(FitNoise::Known) { " known noise" } else { "" };
+        let noise = if fit.noise.as_ref().is_some_and(FitNoise::is_known) { " known noise" } else { "" };
         let statistic = format!("{held:?} {estimator:?} {} {}{noise}", fit.report.loss, options.is_corrected);
         let saved =
             SavedSides::open(options.checkpoint.as_deref(), self.profile_hash(fit, &statistic, options), n)?;
@@ -151,7 +151,7 @@ impl Calibration {
             held: held.clone(),
             f_tol: 1e-4,
             criterion,
-            is_noise_known: fit.noise == Some(FitNoise::Known),
+            is_noise_known: fit.noise.as_ref().is_some_and(FitNoise::is_known),
             ..KnownPoint::default()
         };
         let (uncertainty, curvature) =

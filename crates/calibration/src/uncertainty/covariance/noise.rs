@@ -340,6 +340,7 @@ mod tests {
                 weights: vec![1.0; *n].into(),
                 starts_simulation: false,
                 is_noise_known: false,
+                is_log: false,
             });
         }
         layout

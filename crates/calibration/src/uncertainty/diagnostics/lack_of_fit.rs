@@ -99,6 +99,7 @@ mod tests {
             weights: vec![1.0; 6].into(),
             starts_simulation: false,
             is_noise_known: false,
+            is_log: false,
         };
         ResidualLayout { outputs: vec![output], priors: Vec::new() }
     }

@@ -281,6 +281,7 @@ mod tests {
             weights: vec![1.0; 400].into(),
             starts_simulation: false,
             is_noise_known: false,
+            is_log: false,
         };
         let layout = ResidualLayout { outputs: vec![output], priors: Vec::new() };
         let checks = ResidualCheck::all(&layout, &["a".to_owned()], &r, &RunContext::new());
