@@ -121,3 +121,48 @@ def test_small_f_tol_selects_small_tolerance() -> None:
     assert fit.tolerance is not None and fit.tolerance.used < fit.tolerance.stated == 1e-6
     assert any(f.id == "F027" for f in fit.findings)
     assert decay(1e-4, Normal(2.0, 1.0), relative_tolerance=1e-6).fit(f_tol=1e-8).tolerance is None
+
+
+def varying(sigma: Any, noise: str = "combined", seed: int = 5) -> Calibration:
+    y = 3.0 * np.exp(-1.0 * T)
+    deviate = np.random.default_rng(seed).standard_normal(51)
+    x = y * np.exp(0.1 * deviate) if noise == "log" else y + (0.05 + 0.1 * y) * deviate
+    parameters = [Parameter("k", 0.8, 0.01, 50), Parameter("x", 2.0, 0.1, 9)]
+    return Calibration(example_fmu("dahlquist"), {"time": T, "x": x}, "x", parameters, sigma=sigma)
+
+
+def test_error_model_uses_simulated_values(tmp_path: Path) -> None:
+    fit = varying({"x": "0.05 + 0.1*abs(y)"}).fit(x_tol=1e-9, f_tol=1e-12)
+    assert fit.noise is not None and fit.noise.source == "known" and fit.noise.settled and fit.noise.coefficients == {}
+    sigma = 0.05 + 0.1 * fit.x[1] * np.exp(-fit.x[0] * T)
+    np.testing.assert_allclose(fit.prediction_band()["x"].noise, sigma, rtol=1e-3)
+    # A fit with these standard deviations as known numbers has the same result.
+    fixed = varying({"x": sigma}).fit(x_tol=1e-9, f_tol=1e-12)
+    assert fit.x == pytest.approx(fixed.x, rel=1e-4) and fit.stderr == pytest.approx(fixed.stderr, rel=1e-3)
+    assert fit.goodness.p_value == pytest.approx(fixed.goodness.p_value, rel=1e-2)
+    fit.save(tmp_path / "a.fit")
+    assert pydfo.load_fit(tmp_path / "a.fit").profile("k").intervals == fit.profile("k").intervals
+
+
+def test_fitted_error_model_reports_its_coefficients() -> None:
+    fit = varying("a + b*abs(y)").fit()
+    assert fit.noise is not None and fit.noise.source == "estimated" and list(fit.noise.coefficients["x"]) == ["a", "b"]
+    assert sum(fit.noise.coefficients["x"].values()) == pytest.approx(0.15, rel=0.3)
+    assert "sigma of x a + b*abs(y), a = " in str(fit)
+    assert varying("b*abs(y)").fit().goodness.aic > fit.goodness.aic
+    with pytest.raises(ValueError, match="has an error model"):
+        fit.compare(varying(0.1).fit())
+    with pytest.raises(ValueError, match="depends on simulated values"):
+        varying("a + b*abs(y)").fit(loss="huber")
+    with pytest.raises(ValueError, match=r"sigma of column 'x': 'a \+ b\*abs\(z\)' is not an error model"):
+        varying("a + b*abs(z)")
+
+
+def test_log_normal_noise_is_a_regression_of_logarithms() -> None:
+    calibration = varying("log", "log")
+    fit = calibration.fit()
+    recorded = 3.0 * np.exp(-T) * np.exp(0.1 * np.random.default_rng(5).standard_normal(51))
+    slope, intercept = np.polyfit(T, np.log(recorded), 1)
+    assert fit.x[0] == pytest.approx(-slope, rel=1e-3) and fit.x[1] == pytest.approx(np.exp(intercept), rel=1e-3)
+    with pytest.raises(ValueError, match="must be positive for sigma 'log'"):
+        Calibration(example_fmu("dahlquist"), {"time": T, "x": recorded - 1}, "x", [Parameter("k", 1, 0, 9)], sigma="log")

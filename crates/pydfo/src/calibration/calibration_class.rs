@@ -293,7 +293,9 @@ impl PyCalibration {
     /// Returns the measurements that count, in the form passed to a cost function of the user.
     fn measured_series<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let outputs = &self.inner().residual_layout().outputs;
-        let measured = outputs.iter().map(|o| (o.experiment, o.variable.as_str(), &o.measured[..]));
+        let values: Vec<Vec<f64>> = outputs.iter().map(|output| output.measured_values()).collect();
+        let measured =
+            outputs.iter().zip(&values).map(|(o, values)| (o.experiment, o.variable.as_str(), &values[..]));
         cost::series(py, &self.inner().problem().experiment_names(), measured)
     }
 

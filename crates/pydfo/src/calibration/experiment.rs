@@ -46,6 +46,12 @@ pub(crate) fn is_output_scale(name: &str) -> bool {
     OutputScale::named(name).is_ok()
 }
 
+/// True if a text given as sigma is an error model or the word "log", not a column.
+#[pyfunction]
+pub(crate) fn is_sigma_text(text: &str) -> bool {
+    Weight::is_sigma(text)
+}
+
 /// `pydfo.Experiment`, field by field.
 #[derive(FromPyObject)]
 pub(crate) struct ExperimentFields {
@@ -97,8 +103,9 @@ enum WeightFields {
 enum SigmaFields {
     #[pyo3(transparent)]
     Constant(f64),
+    /// A column, an error model or the word "log".
     #[pyo3(transparent)]
-    Column(String),
+    Text(String),
     #[pyo3(transparent)]
     Rows(Numbers),
 }
@@ -196,7 +203,7 @@ impl ExperimentFields {
         let measured = self.outputs.iter().map(|(_, column, _)| column);
         let weights = self.outputs.iter().filter_map(|(_, _, weight)| match weight {
             WeightFields::Column(name) if !is_output_scale(name) => Some(name),
-            WeightFields::Known((_, SigmaFields::Column(column))) => Some(column),
+            WeightFields::Known((_, SigmaFields::Text(text))) if !is_sigma_text(text) => Some(text),
             _ => None,
         });
         let driving = self.inputs.iter().filter_map(|(_, source)| match source {
@@ -241,7 +248,7 @@ impl ExperimentFields {
                 WeightFields::Column(name) => Weight::named(&name),
                 WeightFields::Inverse((name,)) => Weight::Inverse(OutputScale::named(&name)?),
                 WeightFields::Known((_, SigmaFields::Constant(sigma))) => Sigma::Constant(sigma).into(),
-                WeightFields::Known((_, SigmaFields::Column(column))) => Sigma::Column(column).into(),
+                WeightFields::Known((_, SigmaFields::Text(text))) => Weight::of_sigma(&text, &column)?,
                 WeightFields::Known((_, SigmaFields::Rows(Numbers(sigmas)))) => Sigma::Rows(sigmas).into(),
                 WeightFields::Rows(Numbers(weights)) => Weight::Rows(weights),
             };

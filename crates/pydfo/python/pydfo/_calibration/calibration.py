@@ -109,7 +109,8 @@ class Calibration(Evaluation):
         it is known. A weight per measurement, or "range", "mean" or "sd", is also possible, see `Experiment`.
     sigma : number, column or dict, optional
         Known standard deviation of the noise of the outputs, for example ``{"y": 0.03}``. The weights are 1/sigma, and
-        standard errors, intervals, profiles and bands do not depend on the size of the residuals, see `Experiment`.
+        standard errors, intervals, profiles and bands do not depend on the size of the residuals. An error model, as
+        in ``{"y": "0.1 + 0.05*abs(y)"}`` or ``"a + b*abs(y)"``, and ``"log"`` are also possible, see `Experiment`.
     start_values : dict, optional
         Values of other parameters and start values of variables, by name. Fitted parameters are not allowed.
     start_time : float, optional

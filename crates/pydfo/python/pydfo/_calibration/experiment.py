@@ -85,6 +85,11 @@ class Experiment:
         or one value per measurement. A dict specifies it per output; otherwise it applies to all outputs. The weight is
         1/sigma, and standard errors, intervals, profiles and bands are absolute, as with ``absolute_sigma=True`` of
         SciPy's ``curve_fit``. Sigma is in the unit of the column. An infinite sigma excludes a measurement.
+        A text such as ``"0.1 + 0.05*abs(y)"`` is an error model, where y is the simulated output: ``a + b*abs(y)`` or
+        ``b*abs(y)``. The fit is repeated with the standard deviations at its simulated values until they settle. Names
+        instead of numbers, as in ``"a + b*abs(y)"``, are estimated from the residuals by maximum likelihood, and
+        ``fit.noise.coefficients`` contains the values. ``"log"`` compares logarithms, for log-normal noise of unknown
+        size: the residual is ``log(simulated) - log(measured)``. Values must be positive.
     start_values : dict or path, optional
         Values of other parameters and start values of variables in this experiment, by name. For a local parameter,
         the start of its search in this experiment. Alternatively, the path of an SSP parameter file (``.ssv``). Its
@@ -404,7 +409,7 @@ def _column_of(weight: Weight) -> str | None:
     """Returns the column of a weight or of a standard deviation, if any."""
     if isinstance(weight, tuple):
         value = weight[1] if len(weight) == 2 else None
-        return value if isinstance(value, str) else None
+        return value if isinstance(value, str) and not _core.is_sigma_text(value) else None
     return weight if isinstance(weight, str) and not _core.is_output_scale(weight) else None
 
 

@@ -62,6 +62,8 @@ class OutputFit(NamedTuple):
     fit_percent: float
     """Fit percentage: ``100 (1 - norm(simulated - measured) / norm(measured - mean))``; NaN if the measurements do
     not vary."""
+    is_log: bool = False
+    """True if the fit compared logarithms (``sigma="log"``)."""
 
 
 class FitNoise(NamedTuple):
@@ -80,7 +82,9 @@ class FitNoise(NamedTuple):
     n_rounds: int
     """Number of searches."""
     settled: bool
-    """True if the residuals of the last search confirm the estimates to 1 %."""
+    """True if the residuals of the last search confirm the estimates to 1 %, and error models to 0.01 %."""
+    coefficients: dict[str, dict[str, float]] = {}
+    """Estimated coefficients of the error model of each variable, as in ``{"y": {"a": 0.1, "b": 0.05}}``."""
 
 
 class ChosenTolerance(NamedTuple):
@@ -100,9 +104,17 @@ def _noise(found: Any) -> FitNoise | None:
     if not isinstance(found, dict):
         return None if found is None else FitNoise(found, {}, {}, 0, True)
     estimated = found["estimated"]
+    models = estimated.get("models", [])
+    coefficients: dict[str, dict[str, float]] = {}
+    for model in models:
+        given = ((model["model"]["constant"], model["a"]), (model["model"]["proportional"], model["b"]))
+        fitted = {of["fitted"]: value for of, value in given if "fitted" in of}
+        if fitted:
+            coefficients[model["variable"]] = fitted
+    source: Literal["known", "estimated"] = "known" if estimated["is_known"] else "estimated"
     sds = {output["variable"]: output["sd"] for output in estimated["outputs"]}
     of_residuals = {output["variable"]: output["is_of_residuals"] for output in estimated["outputs"]}
-    return FitNoise("estimated", sds, of_residuals, estimated["n_rounds"], estimated["is_settled"])
+    return FitNoise(source, sds, of_residuals, estimated["n_rounds"], estimated["is_settled"], coefficients)
 
 
 #: Fields of an interrupted fit of which only the last iteration is known.

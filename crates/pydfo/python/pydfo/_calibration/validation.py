@@ -58,6 +58,8 @@ class ValidatedOutput:
     """Simulated minus measured, without weights."""
     start_residuals: FloatArray | None
     """Residuals at the start of the fit; None if the simulation failed there."""
+    is_log: bool = False
+    """True if the fit compared logarithms (``sigma="log"``)."""
 
     @property
     def scaled_rms(self) -> float | None:
