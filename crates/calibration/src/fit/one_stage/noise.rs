@@ -466,8 +466,10 @@ impl EstimatedNoise {
     pub(super) fn weigh(&self, problem: &mut Problem) -> Result<(), CalibrationError> {
         for own in &self.models {
             for SigmaSeries { experiment, output, sigma, .. } in &own.series {
-                let weight = &mut problem.experiments[*experiment].outputs[*output].weight;
-                *weight = match own.model.is_fitted() {
+                // The indices may come from a file.
+                let known = problem.experiments.get_mut(*experiment).and_then(|e| e.outputs.get_mut(*output));
+                let Some(known) = known else { continue };
+                known.weight = match own.model.is_fitted() {
                     true => Weight::Rows(sigma.iter().map(|sigma| 1.0 / sigma).collect()),
                     false => Sigma::Rows(sigma.clone().into()).into(),
                 };
@@ -507,7 +509,8 @@ impl EstimatedNoise {
             let is_own = |o: &&mut OutputResiduals| (o.experiment, o.output) == (*experiment, *output);
             let Some(own) = layout.outputs.iter_mut().find(is_own) else { continue };
             if let Ok(rows) = rows_of(problem, own) {
-                own.weights = rows.into_iter().map(|row| 1.0 / sigma[row]).collect();
+                let weight = |row: usize| sigma.get(row).map_or(0.0, |sigma| 1.0 / sigma);
+                own.weights = rows.into_iter().map(weight).collect();
             }
         }
     }
