@@ -130,7 +130,8 @@ pub struct EstimatedNoise {
     pub is_known: bool,
     /// Number of fits.
     pub n_rounds: usize,
-    /// True if the residuals of the last fit confirm its noise: estimates to 1 %, error models to 0.01 %.
+    /// True if the residuals of the last fit confirm its noise: estimates to 1 %, error models to 0.01 %, and
+    /// to 0.1 % with estimated coefficients.
     pub is_settled: bool,
     /// True if the noise of all outputs is estimated. False if the weights of some outputs already specify
     /// it.
@@ -242,7 +243,7 @@ impl ModelledNoise {
             if let Some(simulated) = simulated {
                 sigma[row] = a + b * simulated[k].abs();
             }
-            if !(sigma[row] > 0.0) {
+            if sigma[row].is_nan() || sigma[row] <= 0.0 {
                 return Err(CalibrationError::Setup(format!(
                     "sigma '{}' of output '{}' (column '{}') is {} at time {}, where the simulated value is {}. Add a constant to sigma, or \
                      exclude the measurement",
@@ -256,7 +257,10 @@ impl ModelledNoise {
             }
             sum_of_logarithms += sigma[row].ln();
         }
-        sigma.iter_mut().filter(|sigma| !(**sigma > 0.0)).for_each(|sigma| *sigma = f64::INFINITY);
+        sigma
+            .iter_mut()
+            .filter(|sigma| sigma.is_nan() || **sigma <= 0.0)
+            .for_each(|sigma| *sigma = f64::INFINITY);
         Ok(SigmaSeries { experiment: output.experiment, output: output.output, sigma, sum_of_logarithms })
     }
 
@@ -305,7 +309,8 @@ impl ModelledNoise {
 
     /// True if no standard deviation differs by more than the tolerance that ends the rounds.
     fn is_close(&self, other: &Self) -> bool {
-        let is_close = |a: &f64, b: &f64| a == b || (a / b).ln().abs() <= MODEL_SETTLED;
+        let most = if self.model.is_fitted() { FITTED_MODEL_SETTLED } else { MODEL_SETTLED };
+        let is_close = |a: &f64, b: &f64| a == b || (a / b).ln().abs() <= most;
         let mut pairs = self.series.iter().zip(&other.series);
         pairs.all(|(a, b)| a.sigma.iter().zip(&b.sigma).all(|(a, b)| is_close(a, b)))
     }
@@ -320,6 +325,9 @@ fn rows_of(problem: &Problem, output: &OutputResiduals) -> Result<Vec<usize>, Ca
 /// Relative change of the standard deviations of error models that ends the rounds. A change of all standard
 /// deviations by this factor moves a parameter by about the same part of its standard error.
 const MODEL_SETTLED: f64 = 1e-4;
+
+/// The same with estimated coefficients, whose own errors are a hundred times larger.
+const FITTED_MODEL_SETTLED: f64 = 1e-3;
 
 /// Estimates that differ by less than this fraction are considered equal.
 const SETTLED: f64 = 0.01;

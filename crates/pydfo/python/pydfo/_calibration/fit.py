@@ -82,7 +82,8 @@ class FitNoise(NamedTuple):
     n_rounds: int
     """Number of searches."""
     settled: bool
-    """True if the residuals of the last search confirm the estimates to 1 %, and error models to 0.01 %."""
+    """True if the residuals of the last search confirm the estimates to 1 %, and error models to 0.01 % or, with estimated
+    coefficients, 0.1 %."""
     coefficients: dict[str, dict[str, float]] = {}
     """Estimated coefficients of the error model of each variable, as in ``{"y": {"a": 0.1, "b": 0.05}}``."""
 
