@@ -317,9 +317,17 @@ pub(crate) struct Problem {
     /// Default: the columns with the names of inputs
     #[arg(long, value_name = "VARIABLE=COLUMN")]
     pub(crate) input: Vec<String>,
+    /// With a model: an input whose values are held between the rows, as of an actuator that switches; may be
+    /// given several times
+    #[arg(long, value_name = "VARIABLE")]
+    pub(crate) hold: Vec<String>,
     /// With a model: a parameter, its start value and its bounds; may be given several times
     #[arg(long, value_name = "NAME=START:LOWER:UPPER")]
     pub(crate) parameter: Vec<String>,
+    /// With a model: a state and its initial value, `measured`, or a start value and bounds to fit it; may be
+    /// given several times
+    #[arg(long, value_name = "NAME=VALUE")]
+    pub(crate) initial_state: Vec<String>,
     /// With a model: name of the time column, if it is not `time`
     #[arg(long, value_name = "COLUMN")]
     pub(crate) time: Option<String>,

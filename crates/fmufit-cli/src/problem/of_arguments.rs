@@ -14,8 +14,20 @@ use std::path::Path;
 
 /// Returns the problem that the arguments describe.
 pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<ProblemFile, Error> {
-    let Problem { problem, data, output, input, parameter, time, start_time, unit, setting, sandbox } =
-        arguments;
+    let Problem {
+        problem,
+        data,
+        output,
+        input,
+        hold,
+        parameter,
+        initial_state,
+        time,
+        start_time,
+        unit,
+        setting,
+        sandbox,
+    } = arguments;
     if problem.is_dir() && !problem.join("modelDescription.xml").is_file() {
         return Err(Error::input(format!(
             "{} is not a model, because the folder contains no modelDescription.xml. Specify a problem file, \
@@ -40,8 +52,7 @@ pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<Pro
                 true => driven(problem, data, time.as_deref(), &settings, console)?,
                 false => input.clone(),
             };
-            let times = (time.as_deref(), *start_time);
-            ProblemFile::without_file(short_form::record(problem, data, times, parameter, output, &input)?)?
+            ProblemFile::without_file(short_form::record(arguments, data, &input)?)?
         }
         Some(data) => {
             return Err(Error::input(format!(
@@ -63,7 +74,9 @@ pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<Pro
             let of_model = [
                 ("--output", !output.is_empty()),
                 ("--input", !input.is_empty()),
+                ("--hold", !hold.is_empty()),
                 ("--parameter", !parameter.is_empty()),
+                ("--initial-state", !initial_state.is_empty()),
                 ("--time", time.is_some()),
                 ("--start-time", start_time.is_some()),
             ];

@@ -1,6 +1,7 @@
 //! Short form of a problem on the command line: a model, a recording and names.
 
 use super::document::value_of_text;
+use crate::arguments::Problem;
 use crate::error::Error;
 use dfo::{Record, Value};
 use std::path::Path;
@@ -50,21 +51,42 @@ pub(crate) fn text_of(path: &Path) -> Result<String, Error> {
 fn parameter(text: &str) -> Result<Value, Error> {
     const FORM: &str = "name=start:lower:upper, as in --parameter armFriction=0.012:0:0.022";
     let (name, numbers) = assignment(text, FORM)?;
-    let mut record = Record::from([("name".to_owned(), Value::Text(name))]);
+    let mut record = start_and_bounds(text, &numbers, FORM)?;
+    record.insert("name".to_owned(), Value::Text(name));
+    Ok(Value::Record(record))
+}
+
+/// Returns the record of `start:lower:upper`.
+fn start_and_bounds(text: &str, numbers: &str, form: &str) -> Result<Record, Error> {
+    let mut record = Record::new();
     let parts: Vec<&str> = numbers.split(':').collect();
     if parts.len() > 3 {
-        return Err(Error::input(format!("'{text}': expected {FORM}")));
+        return Err(Error::input(format!("'{text}': expected {form}")));
     }
     for (field, part) in
         ["start", "lower", "upper"].into_iter().zip(parts).filter(|(_, part)| !part.trim().is_empty())
     {
         let number = part.trim().parse();
         let number = number.map_err(|_| {
-            Error::input(format!("'{text}': {field} '{part}' is not a number; expected {FORM}"))
+            Error::input(format!("'{text}': {field} '{part}' is not a number; expected {form}"))
         })?;
         record.insert(field.to_owned(), Value::Number(number));
     }
-    Ok(Value::Record(record))
+    Ok(record)
+}
+
+/// Returns a state and its initial value: a number, a word that starts with `measured`, or the record of
+/// `start:lower:upper`.
+fn initial_state(text: &str) -> Result<(String, Value), Error> {
+    const FORM: &str =
+        "name=number, name=measured or name=start:lower:upper, as in --initial-state T=20:0:40";
+    let (name, value) = assignment(text, FORM)?;
+    let is_fitted = value.contains(':') && !value.starts_with("measured");
+    let value = match is_fitted {
+        true => Value::Record(start_and_bounds(text, &value, FORM)?),
+        false => value_of_text(&value),
+    };
+    Ok((name, value))
 }
 
 /// Returns a variable and its column. A single name denotes both.
@@ -76,38 +98,46 @@ fn column(text: &str) -> Result<Value, Error> {
     Ok(Value::List(vec![Value::Text(variable), Value::Text(column)]))
 }
 
-/// Like `column`, for an input, which may have a number instead of a column.
-fn source(text: &str) -> Result<Value, Error> {
-    match column(text)? {
-        Value::List(pair) => match &pair[..] {
-            [input, Value::Text(column)] if column.parse::<f64>().is_ok() => {
-                Ok(Value::List(vec![input.clone(), value_of_text(column)]))
-            }
-            _ => Ok(Value::List(pair)),
-        },
-        own => Ok(own),
-    }
+/// Like `column`, for an input, which may have a number instead of a column. The values of inputs in `hold`
+/// are held between the rows.
+fn source(text: &str, hold: &[String]) -> Result<Value, Error> {
+    let (input, column) = match text.contains('=') {
+        true => assignment(text, "variable=column")?,
+        false => (text.to_owned(), text.to_owned()),
+    };
+    let source = match column.parse::<f64>() {
+        Ok(_) if text.contains('=') => value_of_text(&column),
+        _ if hold.contains(&input) => Value::Record(Record::from([
+            ("column".to_owned(), Value::Text(column)),
+            ("hold".to_owned(), Value::Flag(true)),
+        ])),
+        _ => Value::Text(column),
+    };
+    Ok(Value::List(vec![Value::Text(input), source]))
 }
 
-/// Returns the record of a problem with one recording.
-pub(crate) fn record(
-    model: &Path,
-    data: &Path,
-    (time, start_time): (Option<&str>, Option<f64>),
-    parameters: &[String],
-    outputs: &[String],
-    inputs: &[String],
-) -> Result<Record, Error> {
+/// Returns the record of a problem with one recording, which drives these inputs.
+pub(crate) fn record(arguments: &Problem, data: &Path, inputs: &[String]) -> Result<Record, Error> {
+    let Problem { problem: model, output, hold, parameter: parameters, time, start_time, .. } = arguments;
     let path = |path: &Path| text_of(path).map(Value::Text);
+    let is_driven = |held: &&String| {
+        inputs.iter().any(|text| text.split_once('=').map_or(&text[..], |(input, _)| input.trim()) == **held)
+    };
+    if let Some(unknown) = hold.iter().find(|held| !is_driven(held)) {
+        return Err(Error::input(format!(
+            "--hold {unknown}: no column drives this input. Specify one: --input {unknown}=COLUMN"
+        )));
+    }
+    let outputs = output.iter().map(|text| column(text)).collect::<Result<_, _>>()?;
+    let inputs = inputs.iter().map(|text| source(text, hold)).collect::<Result<_, _>>()?;
+    let states = arguments.initial_state.iter().map(|text| initial_state(text));
     let mut experiment = Record::from([
         ("data".to_owned(), path(data)?),
-        (
-            "outputs".to_owned(),
-            Value::List(outputs.iter().map(|text| column(text)).collect::<Result<_, _>>()?),
-        ),
-        ("inputs".to_owned(), Value::List(inputs.iter().map(|text| source(text)).collect::<Result<_, _>>()?)),
+        ("outputs".to_owned(), Value::List(outputs)),
+        ("inputs".to_owned(), Value::List(inputs)),
+        ("initial_states".to_owned(), Value::Record(states.collect::<Result<_, _>>()?)),
     ]);
-    experiment.extend(time.map(|time| ("time".to_owned(), Value::Text(time.to_owned()))));
+    experiment.extend(time.iter().map(|time| ("time".to_owned(), Value::Text(time.clone()))));
     experiment.extend(start_time.map(|time| ("start_time".to_owned(), Value::Number(time))));
     let parameters = parameters.iter().map(|text| parameter(text)).collect::<Result<_, _>>()?;
     Ok(Record::from([

@@ -43,6 +43,41 @@ fn short_form_and_file_give_the_same_fit() {
     assert!((fitted(&open) - 2.0).abs() < 1e-4, "{open}");
 }
 
+/// A lag T x' = K u - x from 0.5, whose input is held between the rows.
+#[test]
+fn short_form_holds_inputs_and_sets_initial_states() {
+    let folder = Folder::with_model("switched_input");
+    let (gain, constant, mut x) = (2.0, 3.0, 0.5);
+    let mut rows = "time,u,y\n".to_owned();
+    for row in 0..=24 {
+        let u = f64::from((row / 4 + 1) % 2);
+        rows += &format!("{row},{u},{x}\n");
+        x = gain * u + (x - gain * u) * (-1.0 / constant as f64).exp();
+    }
+    folder.write("run.csv", &rows);
+    let fit = |more: &str| {
+        folder.run(&format!(
+            "fit model.fmu run.csv --output y --parameter K=1:0.1:10 --parameter T=1:0.1:10 --json --quiet {more}"
+        ))
+    };
+    for state in ["x=1:0:2", "x=0.5", "x=measured:y"] {
+        let found = json(&fit(&format!("--hold u --initial-state {state}")).good());
+        for (k, expected) in [gain, constant].into_iter().enumerate() {
+            let value = found["parameters"][k]["value"].as_f64().unwrap();
+            assert!((value - expected).abs() < 1e-3, "{state}: {value} for {expected}");
+        }
+    }
+    for (arguments, expected) in [
+        ("--hold enabled", "--hold enabled: no column drives this input"),
+        ("--initial-state x=a:0:1", "start 'a' is not a number"),
+        ("--initial-state x=first", "initial_states: 'x' = 'first' must be"),
+        ("--initial-state x", "expected name=number"),
+    ] {
+        let refused = fit(arguments);
+        assert!(refused.code == 2 && refused.err.contains(expected), "{refused:?}");
+    }
+}
+
 #[test]
 fn fit_prints_summary_and_progress() {
     let folder = decay("");
