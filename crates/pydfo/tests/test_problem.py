@@ -51,6 +51,14 @@ def test_parameter_sets_several_variables_and_tied_values() -> None:
     assert one.model_values([2.5e-6]) == {"qt.a1": 2.5e-6, "qt.a2": 2.5e-6, "qt.a3": 5e-6}
     fit = one.fit()
     assert fit.parameters == {"upper": fit.x[0], "qt.a3": 2.0 * fit.x[0]}
+    assert np.array_equal(np.asarray(fit.parameters), [fit.x[0], 2.0 * fit.x[0]])
+    # Standard errors have the same names.
+    assert list(fit.stderr.keys()) == list(fit.parameters) and "qt.a3" in fit.stderr and "q" not in fit.stderr
+    assert dict(fit.stderr.items()) == {"upper": fit.stderr[0], "qt.a3": 2.0 * fit.uncertainty.stderr[0]}
+    assert type(np.asarray(fit.stderr)) is type(2 * fit.stderr) is type(fit.stderr[:1]) is np.ndarray
+    assert isinstance(fit.stderr.sum(), float) and (fit.stderr > 0).all() and repr(fit.stderr).startswith("{'upper': ")
+    with pytest.raises(KeyError, match="q"):
+        fit.stderr["q"]
     # The parameters listed by a fit can be passed again.
     assert one.cost(fit.parameters) == fit.cost
     with pytest.raises(ValueError, match="tied"):

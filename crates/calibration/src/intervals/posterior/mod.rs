@@ -32,9 +32,9 @@ impl Calibration {
     ///   sigma`, which gives `(sum r^2)^(-N / 2)` for the N measurements of a variable (Gelman et al.,
     ///   Bayesian Data Analysis, third edition, 2013, section 3.2).
     ///
-    /// The sampler is [`dfo::EnsembleSampler`]. A failed simulation has the density zero and is counted. Fixed
-    /// parameters, and parameters that are not continuous, keep the values of the fit. The result does not
-    /// depend on the number of workers. `progress` receives the number of completed steps on the calling
+    /// The sampler is [`dfo::EnsembleSampler`]. A failed simulation has the density zero and is counted.
+    /// Fixed parameters, and parameters that are not continuous, keep the values of the fit. The result does
+    /// not depend on the number of workers. `progress` receives the number of completed steps on the calling
     /// thread.
     ///
     /// An interrupt returns the steps so far ([`Posterior::is_interrupted`]).

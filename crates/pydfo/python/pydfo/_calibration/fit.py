@@ -27,6 +27,7 @@ from .check import Finding
 from .experiment import Experiment
 from .export import PathLike
 from .goodness import Comparison, Goodness
+from .named import NamedArray, NamedValues
 from .posterior import Posterior
 from .profile import Profile
 from .stages import Windows
@@ -247,12 +248,20 @@ class Fit(OptimizeResult):
         self.solver = solver
 
     @property
-    def stderr(self) -> FloatArray | None:
-        """Standard errors of the parameters, shape (n,); None if there is no `uncertainty`.
+    def stderr(self) -> NamedArray | None:
+        """Standard errors of the parameters; None if there is no `uncertainty`.
 
-        They are zero for parameters that are fixed or at a bound, and infinite for parameters that the data do not
+        The entries have the names and the order of `parameters`: ``fit.stderr["k"]``. Tied parameters come last. Errors
+        are zero for parameters that are fixed or at a bound, and infinite for parameters that the data do not
         determine."""
-        return None if self.uncertainty is None else self.uncertainty.stderr
+        if self.uncertainty is None:
+            return None
+        errors = self.uncertainty.stderr
+        # A tied value is an affine function of one parameter.
+        at = [dict(self._calibration._native.tied(x)) for x in [np.zeros(errors.size).tolist(), *np.eye(errors.size).tolist()]]
+        factors = {name: [abs(moved[name] - value) for moved in at[1:]] for name, value in at[0].items()}
+        tied = {name: max(f * e for f, e in zip(of, errors) if f > 0) for name, of in factors.items()}
+        return NamedArray({**dict(zip(self._calibration.names, errors)), **tied})
 
     @property
     def covariance(self) -> FloatArray | None:
@@ -279,10 +288,10 @@ class Fit(OptimizeResult):
         return self.uncertainty.confidence_intervals(level, corrected=corrected)
 
     @property
-    def parameters(self) -> dict[str, float]:
-        """The fitted values by name. Tied parameters come last."""
+    def parameters(self) -> NamedValues:
+        """The fitted values by name. Tied parameters come last. ``np.asarray`` returns them in order."""
         x = np.asarray(self.x).tolist()
-        return {**dict(zip(self._calibration.names, x)), **dict(self._calibration._native.tied(x))}
+        return NamedValues({**dict(zip(self._calibration.names, x)), **dict(self._calibration._native.tied(x))})
 
     @property
     def cost(self) -> float:
