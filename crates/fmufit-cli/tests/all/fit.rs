@@ -52,7 +52,7 @@ fn short_form_holds_inputs_and_sets_initial_states() {
     for row in 0..=24 {
         let u = f64::from((row / 4 + 1) % 2);
         rows += &format!("{row},{u},{x}\n");
-        x = gain * u + (x - gain * u) * (-1.0 / constant as f64).exp();
+        x = gain * u + (x - gain * u) * (-1.0_f64 / constant).exp();
     }
     folder.write("run.csv", &rows);
     let fit = |more: &str| {
