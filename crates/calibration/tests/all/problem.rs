@@ -288,7 +288,7 @@ fn experiment_from_record_equals_experiment_from_methods() {
         ),
         (
             r#"{"data": "run.csv", "time": "t", "initial_states": {"x": "recorded"}}"#,
-            "a number, 'measured', or a parameter",
+            "a number, 'measured', 'measured:' and the name of an output, or a parameter",
         ),
         (
             r#"{"data": "run.csv", "time": "t", "initial_states": {"x": {"strat": 1}}}"#,
