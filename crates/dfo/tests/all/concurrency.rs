@@ -285,6 +285,31 @@ fn abort_ends_the_run_and_keeps_earlier_evaluations() {
     assert_eq!(report.trace.best(), Some((&report.x[..], report.fun)));
 }
 
+/// The pools of a run belong to rayon, so an objective that uses rayon runs its tasks there or in a pool of its
+/// own.
+#[test]
+fn objective_may_use_rayon() {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
+    let cost = |x: &[f64]| {
+        thread::sleep(Duration::from_millis(1));
+        let half = |from: usize| move || x.iter().skip(from).step_by(2).map(|v| v * v).sum::<f64>();
+        let (even, odd) = rayon::join(half(0), half(1));
+        let again = pool.install(|| rayon::join(half(0), half(1)));
+        assert_eq!((even, odd), again);
+        even + odd
+    };
+    let run =
+        |workers: usize| minimize(cost).start(&[1.0; 3]).workers(workers).max_evaluations(60).run().unwrap();
+    let alone = run(1);
+    for workers in [3, 70] {
+        let report = run(workers);
+        assert_eq!(
+            (report.x, report.fun, report.n_evaluations),
+            (alone.x.clone(), alone.fun, alone.n_evaluations)
+        );
+    }
+}
+
 #[test]
 fn workers_have_large_stacks() {
     fn deep(level: u32) -> f64 {
