@@ -317,8 +317,8 @@ pub(crate) struct Problem {
     /// Default: the columns with the names of inputs
     #[arg(long, value_name = "VARIABLE=COLUMN")]
     pub(crate) input: Vec<String>,
-    /// With a model: an input whose values are held between the rows, as of an actuator that switches; may be
-    /// given several times
+    /// With a model: an input that switches, so that its values are held between the rows; may be given
+    /// several times
     #[arg(long, value_name = "VARIABLE")]
     pub(crate) hold: Vec<String>,
     /// With a model: a parameter, its start value and its bounds; may be given several times

@@ -278,7 +278,7 @@ def test_csv_with_dates_of_matlab_is_read(tmp_path):
     (tmp_path / "run.csv").write_text("time,x\n" + "".join(f"{when},{x!r}\n" for when, x in zip(texts, X.tolist())))
     assert cost(tmp_path / "run.csv") == pytest.approx(COST, rel=1e-6)
     (tmp_path / "run.csv").write_text("time,x\n31-Mai-2024 10:00:00,1\n")
-    with pytest.raises(BadCalibrationError, match="write the month as a number, or abbreviate it in English"):
+    with pytest.raises(BadCalibrationError, match="expected a date such as 31-May-2024"):
         cost(tmp_path / "run.csv")
 
 

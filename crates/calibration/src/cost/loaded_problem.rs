@@ -194,30 +194,22 @@ impl LoadedProblem {
         accumulator: &Accumulator<'_>,
         ran: Result<Report, FmiError>,
     ) -> Result<f64, CostFailure> {
+        let name = |output: usize| &self.problem.experiments[k].outputs[output].variable;
+        let failure = |output: usize, reason: String, value: &str| {
+            let time = Number(accumulator.last_time(output).unwrap_or(f64::NAN));
+            let message = format!("{reason}{value} at t = {time}");
+            CostFailure::Failed { kind: FailureKind::NotFinite, reason, message, source: None }
+        };
         match accumulator.stop {
             Some(StopReason::AboveCutoff) => return Err(CostFailure::Above),
             Some(StopReason::Cancelled) => return Err(CostFailure::Cancelled),
-            Some(StopReason::NotFinite(output) | StopReason::NotPositive(output, _)) => {
-                let name = &self.problem.experiments[k].outputs[output].variable;
-                let time = Number(accumulator.last_time(output).unwrap_or(f64::NAN));
-                let (reason, message) = match accumulator.stop {
-                    Some(StopReason::NotPositive(_, value)) => {
-                        let reason = format!("the simulated '{name}' is not positive, but sigma is 'log'");
-                        let message = format!("{reason}: {} at t = {time}", Number(value));
-                        (reason, message)
-                    }
-                    _ => {
-                        let reason = format!("the residual of '{name}' is not finite");
-                        let message = format!("{reason} at t = {time}");
-                        (reason, message)
-                    }
-                };
-                return Err(CostFailure::Failed {
-                    kind: FailureKind::NotFinite,
-                    reason,
-                    message,
-                    source: None,
-                });
+            Some(StopReason::NotFinite(output)) => {
+                let reason = format!("the residual of '{}' is not finite", name(output));
+                return Err(failure(output, reason, ""));
+            }
+            Some(StopReason::NotPositive(output, value)) => {
+                let reason = format!("the simulated '{}' is not positive, but sigma is 'log'", name(output));
+                return Err(failure(output, reason, &format!(": {}", Number(value))));
             }
             None => {}
         }

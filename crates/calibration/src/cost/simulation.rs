@@ -306,19 +306,18 @@ fn initial_states(
     description: &ModelDescription,
     kind: InterfaceKind,
 ) -> Vec<String> {
-    let is_required = |(_, initial): &&(String, InitialState)| {
-        kind == InterfaceKind::ModelExchange || !matches!(initial, InitialState::Value(_))
-    };
     let is_state = |name: &&String| {
         // An element of an array has no separate declaration.
         let array = name.split('[').next().unwrap_or_default();
         let variable = description.variable(name).or_else(|| description.variable(array));
         variable.is_some_and(|v| matches!(v.causality, Causality::Local | Causality::Output))
     };
-    let given = experiment.initial_states.iter().filter(is_required);
-    let given =
-        given.filter(|(name, initial)| !matches!(initial, InitialState::MeasuredBy(_)) || is_state(&name));
-    let given = given.map(|(name, _)| name);
+    let is_required = |(name, initial): &&(String, InitialState)| match initial {
+        InitialState::Value(_) => kind == InterfaceKind::ModelExchange,
+        InitialState::MeasuredBy(_) => is_state(&name),
+        InitialState::Measured | InitialState::Fitted(_) => true,
+    };
+    let given = experiment.initial_states.iter().filter(is_required).map(|(name, _)| name);
     let mut names: Vec<String> = given.chain(fitted.iter().filter(is_state)).cloned().collect();
     names.sort_unstable();
     names.dedup();

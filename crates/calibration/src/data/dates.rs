@@ -191,7 +191,7 @@ fn complaint(cell: &str) -> String {
     } else if cell.to_lowercase().ends_with('m') && cell.contains(':') {
         " (write hours from 0 to 23)"
     } else if has_named_month(cell) {
-        " (write the month as a number, or abbreviate it in English)"
+        " (expected a date such as 31-May-2024 13:45:10)"
     } else {
         ""
     };
@@ -276,7 +276,7 @@ mod tests {
             (&["05/31/2024 10:00:00"], (0, "day and month are ambiguous")),
             (&["10:00:00 PM"], (0, "hours from 0 to 23")),
             (&["2024-13-31"], (0, "neither")),
-            (&["31-Mai-2024 10:00:00"], (0, "abbreviate it in English")),
+            (&["31-Mai-2024 10:00:00"], (0, "expected a date such as 31-May-2024")),
             (&["1 days 25:00:00"], (0, "neither")),
             (&["1 days10:00:00"], (0, "neither")),
             (&["0 days 00:00:00", "00:00:01"], (1, "another form than the first date, '0 days 00:00:00'")),

@@ -8,6 +8,7 @@ use crate::cost::request::Job;
 use crate::cost::residual::CostRule;
 use crate::error::CalibrationError;
 use crate::findings::finding::Severity;
+use crate::problem::assignment::Affine;
 use crate::problem::definition::{ModelFile, Problem};
 use crate::problem::experiment::Experiment;
 use crate::problem::fingerprint::{hash, identity};
@@ -232,6 +233,16 @@ impl Calibration {
     /// Panics if the length of `x` differs from the number of parameters.
     pub fn tied_values(&self, x: &[f64]) -> Vec<(String, f64)> {
         self.evaluator.tied.iter().map(|(name, of)| (name.clone(), of.value(x))).collect()
+    }
+
+    /// Returns the tied parameters with their standard errors, which are the errors of the parameters that
+    /// they follow, times the size of the factor.
+    pub fn tied_errors(&self, errors: &[f64]) -> Vec<(String, f64)> {
+        let error = |of: &Affine| {
+            let followed = of.entry.and_then(|entry| errors.get(entry)).copied().unwrap_or(0.0);
+            if of.factor == 0.0 { 0.0 } else { of.factor.abs() * followed }
+        };
+        self.evaluator.tied.iter().map(|(name, of)| (name.clone(), error(of))).collect()
     }
 
     /// Returns the variables that are set in the model at `x`, with their values in the units of the model.

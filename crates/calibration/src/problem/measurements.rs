@@ -179,7 +179,7 @@ fn logarithms(
         ));
     }
     let is_start =
-        |(state, initial): &(String, InitialState)| state == variable && *initial == InitialState::Measured;
+        |(state, initial): &(String, InitialState)| initial.measured_output(state) == Some(variable);
     if experiment.initial_states.iter().any(is_start) {
         return setup(format!(
             "the simulation starts at a measurement of '{variable}', which cannot have sigma 'log'. Fit the initial state, or use a number \

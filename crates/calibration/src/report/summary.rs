@@ -250,9 +250,10 @@ fn parameter(fit: &Fit, i: usize) -> ParameterRow {
         remarks.push(format!("at its {} bound {}", side.name(), Number(bound(fit, i, side))));
     }
     if let Some((_, prior)) = fit.priors.iter().find(|(k, _)| *k == i) {
-        // Both the data and the prior add to the inverse of the variance.
+        // The data and the prior add to the inverse of the variance, unless the parameter is at a bound.
         let share = (prior.slope(value) * error).powi(2);
-        let share = (share <= 1.0).then(|| format!(", {} % of the information", rounded(100.0 * share, 2)));
+        let share = (is_known(error) && share <= 1.0)
+            .then(|| format!(", {} % of the information", rounded(100.0 * share, 2)));
         remarks.push(format!("{prior}{}", share.unwrap_or_default()));
     }
     if fit.without_effect.contains(&i) {

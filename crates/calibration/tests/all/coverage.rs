@@ -3,6 +3,7 @@
 
 #![allow(clippy::print_stdout, clippy::unwrap_used)]
 
+use crate::support::normal;
 use calibration::RunContext;
 use calibration::{
     BandOptions, Calibration, CostKind, Data, Estimator, Experiment, FitOptions, NamedCost, Parameter, Prior,
@@ -14,17 +15,6 @@ use fmi::RunSettings;
 
 const TRUTH: [f64; 3] = [1.5, 2.0, 0.5];
 const DEVIATIONS: [f64; 2] = [0.05, 0.3];
-
-/// Returns a generator of normally distributed numbers: uniform numbers from a linear congruential generator
-/// (Knuth's MMIX), transformed by the method of Box and Muller.
-fn normal(seed: u64) -> impl FnMut() -> f64 {
-    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-    let mut uniform = move || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        ((state >> 11) as f64 + 0.5) / (1u64 << 53) as f64
-    };
-    move || (-2.0 * uniform().ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos()
-}
 
 fn calibration(columns: [Vec<f64>; 2]) -> Calibration {
     let time: Vec<f64> = (0..100).map(|k| 0.1 * f64::from(k)).collect();

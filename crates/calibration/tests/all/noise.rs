@@ -1,6 +1,7 @@
 //! Noise that is estimated together with the parameters, so that priors are weighted correctly.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
+use crate::support::normal;
 use base::Number;
 use calibration::RunContext;
 use calibration::{
@@ -16,17 +17,6 @@ use example_models::example_fmu;
 use fmi::Fmu;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
-
-/// Returns normally distributed numbers: uniform numbers from a linear congruential generator (Knuth's MMIX),
-/// transformed by the Box-Muller method.
-fn normal(seed: u64) -> impl FnMut() -> f64 {
-    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-    let mut uniform = move || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        ((state >> 11) as f64 + 0.5) / (1u64 << 53) as f64
-    };
-    move || (-2.0 * uniform().ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos()
-}
 
 fn open(model: &str) -> Fmu {
     Fmu::open(example_fmu(model).unwrap()).unwrap()

@@ -1,4 +1,4 @@
-//! Calibrations of a small model with one fault each.
+//! Calibrations of a small model with one fault each, and normally distributed numbers.
 #![allow(dead_code, clippy::unwrap_used)]
 
 use calibration::{Calibration, Data, Experiment, Fit, FitOptions, Parameter};
@@ -53,4 +53,15 @@ pub(crate) fn fit(calibration: &Calibration, workers: usize, evaluations: usize)
 
 pub(crate) fn costs(fit: &Fit) -> Vec<Option<u64>> {
     fit.report.trace.iter().map(|entry| entry.outcome.value().map(f64::to_bits)).collect()
+}
+
+/// Returns normally distributed numbers: uniform numbers from a linear congruential generator (Knuth's MMIX),
+/// transformed by the Box-Muller method.
+pub(crate) fn normal(seed: u64) -> impl FnMut() -> f64 {
+    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+    let mut uniform = move || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        ((state >> 11) as f64 + 0.5) / (1u64 << 53) as f64
+    };
+    move || (-2.0 * uniform().ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos()
 }

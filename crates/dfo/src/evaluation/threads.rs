@@ -1,4 +1,4 @@
-//! Evaluation of the points of a run in a thread pools of the run's own with one queue.
+//! Evaluation of the points of a run in separate thread pools with one queue.
 
 use super::evaluator::{CutoffUse, Evaluator, PollResult, Wait, call, cutoff_use};
 use super::timing::Timing;
@@ -55,13 +55,14 @@ struct Queue {
 /// Starts the threads of a run, which end before the scope `run` does. Starts fewer threads if the system
 /// refuses the requested number.
 pub(crate) fn pools<'scope>(run: &'scope Scope<'scope, '_>, workers: usize) -> Vec<ThreadPool> {
-    let spawn = |thread: ThreadBuilder| {
-        let name = format!("dfo-worker-{}", thread.index());
-        Builder::new().name(name).stack_size(STACK_SIZE).spawn_scoped(run, || thread.run()).map(drop)
-    };
     let (mut pools, mut left, mut size) = (Vec::new(), workers, MOST_IN_POOL);
     while left > 0 && size > 0 {
         size = size.min(left);
+        let first = workers - left;
+        let spawn = |thread: ThreadBuilder| {
+            let name = format!("dfo-worker-{}", first + thread.index());
+            Builder::new().name(name).stack_size(STACK_SIZE).spawn_scoped(run, || thread.run()).map(drop)
+        };
         match ThreadPoolBuilder::new().num_threads(size).spawn_handler(spawn).build() {
             Ok(pool) => {
                 pools.push(pool);

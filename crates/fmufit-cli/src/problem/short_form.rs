@@ -75,18 +75,20 @@ fn start_and_bounds(text: &str, numbers: &str, form: &str) -> Result<Record, Err
     Ok(record)
 }
 
-/// Returns a state and its initial value: a number, a word that starts with `measured`, or the record of
+/// Returns the initial value of each state: a number, a word that starts with `measured`, or the record of
 /// `start:lower:upper`.
-fn initial_state(text: &str) -> Result<(String, Value), Error> {
+fn initial_states(given: &[String]) -> Result<Record, Error> {
     const FORM: &str =
         "name=number, name=measured or name=start:lower:upper, as in --initial-state T=20:0:40";
-    let (name, value) = assignment(text, FORM)?;
-    let is_fitted = value.contains(':') && !value.starts_with("measured");
-    let value = match is_fitted {
-        true => Value::Record(start_and_bounds(text, &value, FORM)?),
-        false => value_of_text(&value),
+    let of = |(name, text): (String, String)| {
+        let is_fitted = text.contains(':') && !text.starts_with("measured");
+        let value = match is_fitted {
+            true => Value::Record(start_and_bounds(&text, &text, FORM)?),
+            false => value_of_text(&text),
+        };
+        Ok((name, value))
     };
-    Ok((name, value))
+    assignments(given, FORM)?.into_iter().map(of).collect()
 }
 
 /// Returns a variable and its column. A single name denotes both.
@@ -130,12 +132,11 @@ pub(crate) fn record(arguments: &Problem, data: &Path, inputs: &[String]) -> Res
     }
     let outputs = output.iter().map(|text| column(text)).collect::<Result<_, _>>()?;
     let inputs = inputs.iter().map(|text| source(text, hold)).collect::<Result<_, _>>()?;
-    let states = arguments.initial_state.iter().map(|text| initial_state(text));
     let mut experiment = Record::from([
         ("data".to_owned(), path(data)?),
         ("outputs".to_owned(), Value::List(outputs)),
         ("inputs".to_owned(), Value::List(inputs)),
-        ("initial_states".to_owned(), Value::Record(states.collect::<Result<_, _>>()?)),
+        ("initial_states".to_owned(), Value::Record(initial_states(&arguments.initial_state)?)),
     ]);
     experiment.extend(time.iter().map(|time| ("time".to_owned(), Value::Text(time.clone()))));
     experiment.extend(start_time.map(|time| ("start_time".to_owned(), Value::Number(time))));

@@ -72,6 +72,7 @@ fn short_form_holds_inputs_and_sets_initial_states() {
         ("--initial-state x=a:0:1", "start 'a' is not a number"),
         ("--initial-state x=first", "initial_states: 'x' = 'first' must be"),
         ("--initial-state x", "expected name=number"),
+        ("--initial-state x=1 --initial-state x=2", "'x' is specified twice"),
     ] {
         let refused = fit(arguments);
         assert!(refused.code == 2 && refused.err.contains(expected), "{refused:?}");

@@ -201,6 +201,11 @@ impl PyCalibration {
         self.inner().tied_values(&x)
     }
 
+    /// Returns names and standard errors of the tied parameters.
+    fn tied_errors(&self, errors: Vec<f64>) -> Vec<(String, f64)> {
+        self.inner().tied_errors(&errors)
+    }
+
     /// Returns the variables set in the model at `x` for the simulation of an experiment, and their values.
     fn model_values(&self, experiment: usize, x: Vec<f64>) -> Vec<(String, f64)> {
         self.inner().model_values(experiment, &x)

@@ -2,6 +2,7 @@
 
 mod assessment;
 mod misfit;
+mod modelled_noise;
 mod noise;
 mod noise_iterations;
 mod options;
@@ -10,7 +11,8 @@ mod search;
 mod simulation_executor;
 mod tolerance;
 
-pub use noise::{EstimatedNoise, FitNoise, ModelledNoise, NoiseRule, OutputNoise, SigmaSeries};
+pub use modelled_noise::{ModelledNoise, SigmaSeries};
+pub use noise::{EstimatedNoise, FitNoise, NoiseRule, OutputNoise};
 pub(crate) use noise_iterations::{add_earlier, checkpoint_of, ended_by};
 pub use options::{FitObserver, FitOptions, FitRecord};
 pub use result::Fit;

@@ -439,9 +439,11 @@ impl Uncertainty {
         };
         for i in self.known_from_prior() {
             let name = &self.names[i];
-            let sentence =
-                format!("{name} is known from its prior alone. The data contain no information about it");
-            note(FindingId::PriorOnly, name.clone(), sentence, "Record an experiment in which it acts");
+            let sentence = format!(
+                "{name} is known from its prior alone. The data are much less accurate or contain no information about it"
+            );
+            let remedy = "Record an experiment in which it acts, or widen the prior";
+            note(FindingId::PriorOnly, name.clone(), sentence, remedy);
         }
         if !self.weakest.is_empty() {
             let names = self.list(&self.weakest);

@@ -83,10 +83,13 @@ impl PriorConflict {
                 format!("median {}, sigma {}", digits(median), digits(sigma))
             }
         };
+        let center = match self.prior {
+            Prior::Normal { mean: center, .. } | Prior::LogNormal { median: center, .. } => center,
+        };
+        let direction = if self.without_prior < center { "smaller" } else { "larger" };
         let sentence = format!(
-            "the prior of {name} ({known}) contradicts the measurements, which alone give about {}, {} standard deviations away. The result \
-             follows whichever has the larger weight",
-            digits(self.without_prior),
+            "the prior of {name} ({known}) contradicts the measurements, which lead to a {direction} value ({} standard deviations away by \
+             linearisation). The result follows whichever has the larger weight",
             digits(self.deviations)
         );
         let remedy = "Check the value and the unit of the prior, and widen or remove it";

@@ -57,7 +57,7 @@ fn contradicted_priors_are_reported() {
         let calibration = calibration(vec![experiment], parameter, SimulationSettings::default());
         calibration.fit(FitOptions { noise: rule, ..FitOptions::default() }).unwrap()
     };
-    let reported = "contradicts the measurements, which alone give about";
+    let reported = "contradicts the measurements, which lead to a smaller value";
     for (sd, wins) in [(1e-4, 3.0), (0.1, 2.0)] {
         let fit = with_prior(sd, 3.0, 1.0, NoiseRule::Auto);
         assert!((fit.x[0] - wins).abs() < 0.1 && warns(&fit.findings(), reported), "{sd}: {fit}");

@@ -113,10 +113,11 @@ class Experiment:
         Values of states of the model at the start: a number, "measured" or a `Parameter`. "measured" uses the column
         compared with the state, at the start of the simulation, without offset and delay. It is an error if there is
         no such column. "measured:T" uses the column compared with the output ``T``. With it, the name may also be a
-        parameter of the model that is the start value of this output, such as ``{"T_start": "measured:T"}``. A `Parameter` with start and bounds belongs to this experiment alone. Its name is ignored; it
-        appears as ``x[run1]``. In model exchange, a state computed by the initialization (``initial="approx"``,
-        ``"calculated"``) is set after it. In a co-simulation, such a state raises an error if it is fitted or
-        measured, and a warning if it is a number.
+        parameter of the model that is the start value of this output, such as ``{"T_start": "measured:T"}``. A
+        `Parameter` with start and bounds belongs to this experiment alone. Its name is ignored; it appears as
+        ``x[run1]``. In model exchange, a state computed by the initialization (``initial="approx"``, ``"calculated"``)
+        is set after it. In a co-simulation, such a state raises an error if it is fitted or measured, and a warning if
+        it is a number.
     windows : sequence of (float, float), optional
         Intervals of time in s. Only measurements in one of these intervals count.
     warm_up : float, optional

@@ -106,16 +106,17 @@ def _noise(found: Any) -> FitNoise | None:
     if not isinstance(found, dict):
         return None if found is None else FitNoise(found, {}, {}, 0, True)
     estimated = found["estimated"]
+    of_residuals = {output["variable"]: output["is_of_residuals"] for output in estimated["outputs"]}
     models = estimated.get("models", [])
     coefficients: dict[str, dict[str, float]] = {}
     for model in models:
         given = ((model["model"]["constant"], model["a"]), (model["model"]["proportional"], model["b"]))
         fitted = {of["fitted"]: value for of, value in given if "fitted" in of}
         if fitted:
-            coefficients[model["variable"]] = fitted
+            coefficients.setdefault(model["variable"], {}).update(fitted)
+            of_residuals[model["variable"]] = model["is_of_residuals"]
     source: Literal["known", "estimated"] = "known" if estimated["is_known"] else "estimated"
     sds = {output["variable"]: output["sd"] for output in estimated["outputs"]}
-    of_residuals = {output["variable"]: output["is_of_residuals"] for output in estimated["outputs"]}
     return FitNoise(source, sds, of_residuals, estimated["n_rounds"], estimated["is_settled"], coefficients)
 
 
@@ -256,12 +257,9 @@ class Fit(OptimizeResult):
         determine."""
         if self.uncertainty is None:
             return None
-        errors = self.uncertainty.stderr
-        # A tied value is an affine function of one parameter.
-        at = [dict(self._calibration._native.tied(x)) for x in [np.zeros(errors.size).tolist(), *np.eye(errors.size).tolist()]]
-        factors = {name: [abs(moved[name] - value) for moved in at[1:]] for name, value in at[0].items()}
-        tied = {name: max(f * e for f, e in zip(of, errors) if f > 0) for name, of in factors.items()}
-        return NamedArray({**dict(zip(self._calibration.names, errors)), **tied})
+        errors = self.uncertainty.stderr.tolist()
+        tied = self._calibration._native.tied_errors(errors)
+        return NamedArray({**dict(zip(self._calibration.names, errors)), **dict(tied)})
 
     @property
     def covariance(self) -> FloatArray | None:

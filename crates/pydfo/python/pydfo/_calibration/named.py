@@ -48,6 +48,8 @@ class NamedArray(np.ndarray[Any, np.dtype[np.float64]]):
 
     def __getitem__(self, key: Any) -> Any:
         if isinstance(key, str):
+            if key not in self.names:
+                raise KeyError(f"{key!r} is not among the names {', '.join(self.names) or '(the results of calculations have none)'}")
             return dict(self.items())[key]
         return np.asarray(self)[key]
 
