@@ -5,7 +5,7 @@ use crate::support::normal;
 use calibration::RunContext;
 use calibration::{
     BandOptions, BootstrapOptions, Calibration, CostKind, Data, Experiment, Fit, FitNoise, FitOptions,
-    ModelledNoise, NamedCost, Parameter, ProfileOptions, SavedFit, Sigma, ValidationSet, Weight,
+    ModelledNoise, NamedCost, NoiseRule, Parameter, ProfileOptions, SavedFit, Sigma, ValidationSet, Weight,
 };
 use dfo::{LeastSquares, Loss, NelderMead, RobustLoss, RunOptions, Tolerances, Value};
 use example_models::example_fmu;
@@ -156,6 +156,28 @@ fn fitted_error_model_is_the_maximum_of_its_likelihood() {
     // The weighted squares and the free rows agree: sum r^2 = N - p.
     assert!((fit.cost / 49.0 - 1.0).abs() < 1e-3, "{}", fit.cost);
     assert!(!fit.noise.as_ref().is_some_and(FitNoise::is_known));
+}
+
+/// The noise of another recording of the variable is estimated separately. Parameters are local, so the fit
+/// of the first recording is independent of the second.
+#[test]
+fn estimated_noise_of_another_recording_does_not_change_an_error_model() {
+    let y = || decay(4, [3.0, 1.0], [0.02, 0.05]);
+    let fit = |others: &[&str], rule: NoiseRule| {
+        let mut builder = Calibration::builder(Fmu::open(example_fmu("dahlquist").unwrap()).unwrap());
+        for sigma in ["a + b*abs(y)"].iter().chain(others) {
+            builder = builder.experiment(experiment(y(), sigma).start_value("k", 1.0));
+        }
+        let x = Parameter::new("x", 1.0).bounds(0.1, 50.0).local(true);
+        let calibration = builder.parameter(x).build().unwrap();
+        calibration.fit(FitOptions { noise: rule, ..accurate() }).unwrap()
+    };
+    let alone = fit(&[], NoiseRule::Auto);
+    let beside = fit(&["log"], NoiseRule::Estimated);
+    assert!((beside.x[0] / alone.x[0] - 1.0).abs() < 1e-3, "{alone}\n{beside}");
+    let (own, other) = (modelled(&alone), modelled(&beside));
+    assert!((other.b / own.b).ln().abs() < 0.05, "{alone}\n{beside}");
+    assert!(beside.noise.as_ref().unwrap().estimated().unwrap().outputs.len() == 1, "{beside}");
 }
 
 #[test]
