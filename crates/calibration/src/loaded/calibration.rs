@@ -239,8 +239,7 @@ impl Calibration {
     /// they follow, times the size of the factor.
     pub fn tied_errors(&self, errors: &[f64]) -> Vec<(String, f64)> {
         let error = |of: &Affine| {
-            let followed = of.entry.and_then(|entry| errors.get(entry)).copied().unwrap_or(0.0);
-            if of.factor == 0.0 { 0.0 } else { of.factor.abs() * followed }
+            of.factor.abs() * of.entry.and_then(|entry| errors.get(entry)).copied().unwrap_or(0.0)
         };
         self.evaluator.tied.iter().map(|(name, of)| (name.clone(), error(of))).collect()
     }
