@@ -40,21 +40,21 @@ def read_profile(path, bench):
     """Returns instructions by (object, function, source file); libc calls of the model count as the model."""
     names = collections.defaultdict(dict)
     counts = collections.Counter()
-    object_, function, own_file, file, callee = "", "", "", "", ""
+    object_, function, file_of_function, file, callee = "", "", "", "", ""
     is_call = False
     for line in path.read_text(errors="replace").splitlines():
         if match := re.match(r"(c?ob|c?fn|fl|fi|fe|cfi|cfl)=\((\d+)\)(?: (.*))?$", line):
             kind, number, name = match.groups()
-            known = names[kind[-2:] if kind.endswith(("ob", "fn")) else "file"]
+            names_by_number = names[kind[-2:] if kind.endswith(("ob", "fn")) else "file"]
             if name is not None:
-                known[number] = name
-            name = known[number]
+                names_by_number[number] = name
+            name = names_by_number[number]
             if kind == "ob":
                 object_ = callee = name
             elif kind == "cob":
                 callee = name
             elif kind == "fl":
-                own_file = file = name
+                file_of_function = file = name
             elif kind in ("fi", "fe"):
                 file = name
             elif kind == "fn":
@@ -65,7 +65,7 @@ def read_profile(path, bench):
             n = int(line.split()[1])
             if not is_call:
                 from_std = "/rustc/" in file or "/library/" in file
-                counts[object_, function, own_file if from_std else file] += n
+                counts[object_, function, file_of_function if from_std else file] += n
             elif place(callee, bench) == "libc" and place(object_, bench) == "model":
                 counts[object_, function, "libc"] += n
                 counts[callee, "called by others", "libc"] -= n

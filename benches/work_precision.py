@@ -175,11 +175,11 @@ def main() -> None:
         for solver, points in [(s, p) for (s, q), p in [*ours.items(), *peers.items()] if q == problem]:
             shown = "  ".join(f"{d:5.2f}/{n:<6d}" for d, n in points[0:9:4])
             print(f"{problem:12s} {solver:12s} {shown}  ->", "  ".join(f"{v:7.0f}" for v in at_digits(points)))
-    for mine, other in (("bdf", "CVODE BDF"), ("radau5", "SciPy Radau")):
-        print(f"\n{mine} / {other}, right-hand sides at equal digits")
+    for solver, peer in (("bdf", "CVODE BDF"), ("radau5", "SciPy Radau")):
+        print(f"\n{solver} / {peer}, right-hand sides at equal digits")
         ratios = []
         for problem in PROBLEMS:
-            a, b = at_digits(ours[mine, problem]), at_digits(peers[other, problem])
+            a, b = at_digits(ours[solver, problem]), at_digits(peers[peer, problem])
             ratios.append([x / y for x, y in zip(a, b)])
             print(f"  {problem:12s}", "  ".join(f"{r:5.2f}" for r in ratios[-1]))
         print(f"  geometric mean {np.exp(np.mean(np.log(ratios))):.3f}, largest {np.max(ratios):.2f}")

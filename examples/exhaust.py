@@ -49,11 +49,11 @@ def main():
     for name, start in (("nominal", NOMINAL), ("the result above", fit.parameters), ("swapped volumes", SWAPPED)):
         at_once[name] = calibration.fit(start=start)
         show(f"all four, from {name}", at_once[name])
-    said = [sentence for one in at_once.values() for sentence in one.uncertainty.verdict if "change the outputs in the same way" in sentence]
+    sentences = [sentence for one in at_once.values() for sentence in one.uncertainty.verdict if "change the outputs in the same way" in sentence]
     print("\nThree starts, three minima. Findings of the fits:")
-    for sentence in dict.fromkeys(said):
+    for sentence in dict.fromkeys(sentences):
         print(f"- {sentence}")
-    if not said:
+    if not sentences:
         raise SystemExit("the four parameters are not identifiable together, but no fit reported it")
 
     try:

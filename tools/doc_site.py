@@ -115,8 +115,8 @@ def page_of(notebook: Path) -> tuple[str, dict[str, bytes]]:
                 name = f"{notebook.stem}-{len(pictures) + 1}.png"
                 pictures[name] = base64.b64decode("".join(data["image/png"]))
                 parts.append(f"![plot of this cell]({name})")
-            elif said := "".join(data.get("text/plain", output.get("text", []))).strip():
-                parts.append(f"```text\n{said}\n```")
+            elif plain := "".join(data.get("text/plain", output.get("text", []))).strip():
+                parts.append(f"```text\n{plain}\n```")
     return "\n\n".join(parts), pictures
 
 

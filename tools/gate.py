@@ -5,7 +5,7 @@ than the line, tests that are never compiled, and names of deleted files.
 
 It reads every Rust source below crates/*/src and src. Test modules (from `#[cfg(test)]` to the end of the file) may
 unwrap. `unsafe` is allowed only in crates/fmi/src/sys. A file in a folder tests/all is compiled only if its main.rs
-names it.
+lists it.
 """
 
 from __future__ import annotations
@@ -70,12 +70,12 @@ NAMED_FILE = re.compile(r"`((?:[\w.-]+/)*[\w-]+\.(?:rs|py))(?: [^`]*)?`")
 def files_that_are_gone() -> list[str]:
     """Returns sources that comments and pages name but that do not exist."""
     there = [path for path in ROOT.rglob("*") if path.suffix in (".rs", ".py") and not {"target", ".venv"} & set(path.parts)]
-    known = {end for path in there for end in endings(path.relative_to(ROOT).parts)}
+    endings_present = {end for path in there for end in endings(path.relative_to(ROOT).parts)}
     found = []
     for path in [*ROOT.glob("crates/*/*/**/*.rs"), *ROOT.glob("docs/*.md"), ROOT / "CONTRIBUTING.md", ROOT / "README.md"]:
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
             if path.suffix == ".md" or line.lstrip().startswith("//"):
-                gone = [name for name in NAMED_FILE.findall(line) if name not in known]
+                gone = [name for name in NAMED_FILE.findall(line) if name not in endings_present]
                 found += [f"{path.relative_to(ROOT)}:{number}: file {name} does not exist" for name in gone]
     return found
 

@@ -219,7 +219,7 @@ def pattern_rows() -> Iterator[str]:
         values: dict[str, list[np.ndarray]] = {name: [] for name in SEARCHES}
         for problem in problems:
             for name, solver in SEARCHES.items():
-                f = Counted(problem.judged, 200 * (problem.n + 1))
+                f = Counted(problem.assessed, 200 * (problem.n + 1))
                 f.run(lambda f, solver=solver, problem=problem: solver(f, problem.x0))
                 values[name].append(np.minimum.accumulate(f.values))
         lowest = [min(seen[k][-1] for seen in values.values()) for k in range(len(problems))]

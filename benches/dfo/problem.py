@@ -57,7 +57,7 @@ class Problem:
         """Returns the box as pairs."""
         return list(zip(self.lower.tolist(), self.upper.tolist()))
 
-    def judged(self, x: Array) -> float:
+    def assessed(self, x: Array) -> float:
         """Returns the cost without noise."""
         if self.cost is not None:
             return self.cost(x)

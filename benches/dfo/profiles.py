@@ -51,7 +51,7 @@ class Outcome:
         if self.target is not None:
             limit = self.target
         else:
-            first = seen.problem.judged(seen.problem.x0)
+            first = seen.problem.assessed(seen.problem.x0)
             limit = first - (1.0 - tau) * (first - best)
         good = np.flatnonzero(seen.costs <= limit)
         return int(good[0]) if len(good) else None
@@ -125,9 +125,9 @@ class Outcome:
             for k, solver in enumerate(self.runs):
                 units = np.sort(self.units(solver, tau))
                 shares = np.arange(1, len(units) + 1) / len(units)
-                known = np.isfinite(units)
-                x = np.concatenate((units[known], [self.factor]))
-                y = np.concatenate((shares[known], [known.mean()]))
+                solved = np.isfinite(units)
+                x = np.concatenate((units[solved], [self.factor]))
+                y = np.concatenate((shares[solved], [solved.mean()]))
                 ax.step(x, y, where="post", label=solver, linestyle=("-", "--", ":")[k // 10 % 3], linewidth=1.2)
             ax.set(xscale="log", ylim=(0, 1), xlabel="evaluations / (n + 1)", title=f"tau = {tau:g}" if tau else "")
             ax.grid(alpha=0.3)

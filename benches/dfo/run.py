@@ -126,14 +126,14 @@ def one(job: tuple[str, int, int, str, int]) -> tuple[np.ndarray, list[np.ndarra
     return costs, clocks, seen.error
 
 
-def run(name: str, asked: list[str] | None, half: str, seeds: int, jobs: int) -> profiles.Outcome:
+def run(name: str, requested: list[str] | None, half: str, seeds: int, jobs: int) -> profiles.Outcome:
     """Runs all solvers on all problems of a set."""
     chosen = SETS[name]
     n_instances = seeds if chosen.target is not None else 1
     found = problems_of(name, n_instances)
     places = [k for k, p in enumerate(found) if half == "all" or p.number % 2 == (half == "odd")]
     runs = range(1 if chosen.target is not None else seeds)
-    names = [s for s in asked or chosen.solvers if s in solvers.SOLVERS]
+    names = [s for s in requested or chosen.solvers if s in solvers.SOLVERS]
     work = [(name, n_instances, k, s, seed) for s in names for k in places for seed in runs]
     with ProcessPoolExecutor(jobs) as pool:
         answers = list(pool.map(one, work, chunksize=4))

@@ -37,8 +37,8 @@ def ours(method: str, workers: int | str = 1, residuals: bool = False, **keyword
 
     def run(p: Problem, record: Record) -> None:
         # A global search uses the default tolerances, which decide when a local search ends and the next one starts.
-        own = {} if "search" in keywords or method == "multistart" else NO_TOLERANCES
-        options = {**own, **keywords.get("options", {})}
+        tolerances = {} if "search" in keywords or method == "multistart" else NO_TOLERANCES
+        options = {**tolerances, **keywords.get("options", {})}
         if options.get("batch") == "n+4":
             options["batch"] = p.n + 4
         count = p.n + 4 if workers == "n+4" else int(workers)

@@ -21,17 +21,17 @@ def gain(method: str, workers: int, evaluations: int = 200) -> float:
     return time.perf_counter() - begin
 
 
-def asking(method: str, n: int = 10, evaluations: int = 20_000) -> float:
+def time_per_ask(method: str, n: int = 10, evaluations: int = 20_000) -> float:
     """Returns microseconds per evaluation of ask and tell from Python, with whole batches, without the objective."""
     optimizer = pydfo.Optimizer(method, np.full(n, -1.2), [(-5, 5)] * n, rng=1, max_evaluations=evaluations)
     spent, count = 0.0, 0
     while not optimizer.done:
         begin = time.perf_counter()
-        asked = optimizer.ask()
+        points = optimizer.ask()
         spent += time.perf_counter() - begin
-        costs = [float(np.sum(100.0 * (x[1:] - x[:-1] ** 2) ** 2 + (1.0 - x[:-1]) ** 2)) for x in asked.x]
+        costs = [float(np.sum(100.0 * (x[1:] - x[:-1] ** 2) ** 2 + (1.0 - x[:-1]) ** 2)) for x in points.x]
         begin = time.perf_counter()
-        optimizer.tell(asked.ids, costs)
+        optimizer.tell(points.ids, costs)
         spent += time.perf_counter() - begin
         count += len(costs)
     return 1e6 * spent / count

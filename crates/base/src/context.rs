@@ -33,7 +33,7 @@ impl<'a> RunContext<'a> {
 
     /// Adds a function that cancels the operation when it returns true. It is called on the working thread.
     #[must_use]
-    pub fn asking(self, ask: &'a dyn Fn() -> bool) -> Self {
+    pub fn polling(self, ask: &'a dyn Fn() -> bool) -> Self {
         Self { ask: Some(ask), ..self }
     }
 
@@ -126,11 +126,11 @@ mod tests {
         let flag = AtomicBool::new(false);
         let requested = std::cell::Cell::new(false);
         let ask = || requested.get();
-        let (by_flag, by_asking) = (RunContext::new().flagged(&flag), RunContext::new().asking(&ask));
-        assert!(!by_flag.is_over() && !by_asking.is_over());
+        let (by_flag, by_polling) = (RunContext::new().flagged(&flag), RunContext::new().polling(&ask));
+        assert!(!by_flag.is_over() && !by_polling.is_over());
         flag.store(true, Ordering::Relaxed);
         requested.set(true);
-        assert!(by_flag.is_cancelled() && by_asking.is_cancelled() && !by_asking.is_late());
+        assert!(by_flag.is_cancelled() && by_polling.is_cancelled() && !by_polling.is_late());
     }
 
     #[test]

@@ -47,7 +47,7 @@ pub fn read_regular(path: &Path) -> io::Result<Vec<u8>> {
 /// # Errors
 /// Returns the errors of [`open_regular`], and [`io::ErrorKind::PermissionDenied`] if another user owns the
 /// file.
-pub fn open_own(path: &Path) -> io::Result<File> {
+pub fn open_of_user(path: &Path) -> io::Result<File> {
     let mut options = OpenOptions::new();
     options.read(true).write(true);
     #[cfg(unix)]
@@ -56,7 +56,7 @@ pub fn open_own(path: &Path) -> io::Result<File> {
     let file = without_waiting(&mut options, 0).open(path)?;
     let file = require_regular(file)?;
     #[cfg(unix)]
-    if !is_own(path.parent().unwrap_or(Path::new(".")), &file)? {
+    if !belongs_to_folder_owner(path.parent().unwrap_or(Path::new(".")), &file)? {
         return Err(io::Error::new(io::ErrorKind::PermissionDenied, "the file belongs to another user"));
     }
     Ok(file)
@@ -65,7 +65,7 @@ pub fn open_own(path: &Path) -> io::Result<File> {
 /// True if the owner of a file owns its folder. The caller must know that this user owns the folder, which
 /// only its owner can remove.
 #[cfg(unix)]
-fn is_own(folder: &Path, file: &File) -> io::Result<bool> {
+fn belongs_to_folder_owner(folder: &Path, file: &File) -> io::Result<bool> {
     use std::os::unix::fs::MetadataExt;
     Ok(fs::symlink_metadata(folder)?.uid() == file.metadata()?.uid())
 }
@@ -469,7 +469,7 @@ mod tests {
         fs::write(&file, "content").unwrap();
         symlink(&file, &link).unwrap();
         assert_eq!(read_regular(&link).unwrap(), b"content");
-        assert!(open_own(&file).is_ok() && open_own(&link).is_err() && open_own(&pipe).is_err());
+        assert!(open_of_user(&file).is_ok() && open_of_user(&link).is_err() && open_of_user(&pipe).is_err());
     }
 
     #[test]

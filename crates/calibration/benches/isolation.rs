@@ -20,7 +20,7 @@ const CALLS: usize = 400;
 const ROUNDS: usize = 15;
 
 /// Number of bytes of a request and of a response with two outputs.
-const ASKED: usize = 160;
+const REQUEST_LENGTH: usize = 160;
 const ANSWER: usize = 8 * 2 * ROWS + 160;
 
 fn main() {
@@ -35,7 +35,7 @@ fn main() {
 fn echo() {
     let mut socket =
         UnixStream::from(std::os::fd::AsFd::as_fd(&std::io::stdin()).try_clone_to_owned().unwrap());
-    let (mut requested, answer) = ([0; ASKED], vec![1; ANSWER]);
+    let (mut requested, answer) = ([0; REQUEST_LENGTH], vec![1; ANSWER]);
     while socket.read_exact(&mut requested).is_ok() {
         socket.write_all(&answer).unwrap();
     }
@@ -67,13 +67,13 @@ fn median(mut values: Vec<f64>) -> f64 {
 }
 
 fn overhead() {
-    let (mut socket, theirs) = UnixStream::pair().unwrap();
+    let (mut socket, child_socket) = UnixStream::pair().unwrap();
     let mut child = Command::new(std::env::current_exe().unwrap())
         .arg("--echo")
-        .stdin(Stdio::from(OwnedFd::from(theirs)))
+        .stdin(Stdio::from(OwnedFd::from(child_socket)))
         .spawn()
         .unwrap();
-    let (requested, mut answer) = ([0; ASKED], vec![0; ANSWER]);
+    let (requested, mut answer) = ([0; REQUEST_LENGTH], vec![0; ANSWER]);
     let mut ping = || {
         socket.write_all(&requested).unwrap();
         socket.read_exact(&mut answer).unwrap();

@@ -5,7 +5,7 @@
 //!
 //! `cargo bench --bench choice -- [seed K] [set PART] [each] [own]`. `seed`: other starts (each parameter
 //! times 1 + u/4, u uniform in (-1, 1)) and other noise. `set`: only sets whose name contains PART. `each`: a
-//! line per problem. `own`: runs with default tolerances until they terminate.
+//! line per problem. `default_tolerances`: runs with default tolerances until they terminate.
 #![allow(clippy::print_stdout, clippy::unwrap_used, clippy::panic)]
 
 #[path = "../tests/problems/mod.rs"]
@@ -212,13 +212,17 @@ fn methods() -> [(&'static str, AnyMethod); 3] {
     ]
 }
 
-fn run(p: &Problem, method: AnyMethod, budget: usize, own: bool) -> Report {
+fn run(p: &Problem, method: AnyMethod, budget: usize, default_tolerances: bool) -> Report {
     let run = minimize(|x: &[f64]| (p.seen)(x)).start(&p.start).method(method);
     let run = match &p.bounds {
         Some((lower, upper)) => run.bounds(lower, upper).unwrap(),
         None => run,
     };
-    let run = if own { run } else { run.x_tol(0.0).f_tol(0.0).max_evaluations(budget * (p.start.len() + 1)) };
+    let run = if default_tolerances {
+        run
+    } else {
+        run.x_tol(0.0).f_tol(0.0).max_evaluations(budget * (p.start.len() + 1))
+    };
     run.run().unwrap()
 }
 

@@ -7,7 +7,7 @@
 mod clocked;
 
 use clocked::{Clocked, hash, one_in, rosenbrock};
-use dfo::{Answer, AnyMethod, CmaEs, Multistart, Outcome, Polish, Query, Want, minimize_by};
+use dfo::{Answer, AnyMethod, CmaEs, EvaluationKind, Multistart, Outcome, Polish, Query, minimize_by};
 use std::fmt::Write;
 
 const WIDTHS: [usize; 5] = [1, 4, 10, 100, 1000];
@@ -16,7 +16,7 @@ const SEEDS: u64 = 2;
 /// Rosenbrock's function, as a sum of squares if residuals are requested.
 fn answer(x: &[f64], query: &Query<'_>) -> Answer {
     let pairs = || x.windows(2).flat_map(|w| [10.0 * (w[1] - w[0] * w[0]), 1.0 - w[0]]);
-    let residuals = if query.want == Want::Residuals { pairs().collect() } else { Vec::new() };
+    let residuals = if query.kind == EvaluationKind::Residuals { pairs().collect() } else { Vec::new() };
     Answer { residuals, ..Outcome::Value(rosenbrock(x)).into() }
 }
 

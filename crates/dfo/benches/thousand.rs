@@ -64,11 +64,11 @@ fn main() {
         ("de", DifferentialEvolution::default().budget(100 * GENERATIONS * WORKERS)),
     ] {
         let pairs: Vec<(f64, f64)> = (0..PAIRS).map(|_| (evolution(method.clone()), plain())).collect();
-        let mut ratios: Vec<f64> = pairs.iter().map(|(ours, theirs)| ours / theirs).collect();
+        let mut ratios: Vec<f64> = pairs.iter().map(|(measured, reference)| measured / reference).collect();
         ratios.sort_by(f64::total_cmp);
-        let (ours, theirs) = pairs[PAIRS / 2];
+        let (measured, reference) = pairs[PAIRS / 2];
         println!(
-            "{name}: {:.2} (from {:.2} to {:.2}); {ours:.2} s beside {theirs:.2} s",
+            "{name}: {:.2} (from {:.2} to {:.2}); {measured:.2} s compared with {reference:.2} s",
             ratios[PAIRS / 2],
             ratios[0],
             ratios[PAIRS - 1]

@@ -118,14 +118,14 @@ pub enum Error {
     #[error(transparent)]
     Record(#[from] RecordError),
     /// The name or number of the method is unknown.
-    #[error("unknown method '{name}'; expected one of: {known}{hint}")]
+    #[error("unknown method '{name}'; expected one of: {available}{hint}")]
     UnknownMethod {
         /// The name or number given.
         name: String,
         /// Suggestion of a similar name.
         hint: String,
         /// Available names.
-        known: String,
+        available: String,
     },
     /// A least-squares method was used with an objective that returns only a cost.
     #[error(
@@ -288,9 +288,9 @@ pub enum Error {
     #[error("tell: got {told} outcomes for a batch of {asked} points")]
     TooManyOutcomes {
         /// Points in the batch.
-        asked: usize,
+        requested: usize,
         /// Outcomes given.
-        told: usize,
+        received: usize,
     },
     /// The number of residuals differs between points.
     #[error("the objective returned {got} residuals at x = {x:?}, but {expected} at earlier points")]

@@ -80,7 +80,7 @@ pub use methods::{
     NelderMeadState, PatternSearch, PatternSearchState, Polish, QuadraticModel, QuadraticModelState, Repair,
     Restarts, Scheme, Selection, StepPlan, Strategy,
 };
-pub use outcome::answer::{Answer, Answers, Failure, FailureKind, Outcome, Want};
+pub use outcome::answer::{Answer, Answers, EvaluationKind, Failure, FailureKind, Outcome};
 pub use outcome::termination::{Cause, Termination};
 pub use outcome::trace::{Trace, TraceEntry};
 pub use problem::loss::{Loss, RobustLoss};
@@ -95,11 +95,11 @@ pub use run::minimize::{
     ByHand, ByRun, Minimize, by_hand, least_squares, minimize, minimize_batches, minimize_by,
 };
 pub use run::optimizer::{Optimizer, Point};
-pub use run::options::{KnownPoint, RunOptions};
+pub use run::options::{EvaluatedPoint, RunOptions};
 pub use run::progress::Progress;
 pub use run::report::{Report, Resumed};
 pub use run::requested::RequestedRun;
 pub use sampler::{EnsembleSampler, autocorrelation_time, split_r_hat, standard_normals, uniforms};
 pub use values::choices::{BoundsHandling, ParameterKind, Search, StopRule, ToleranceMeasure, Transform};
-pub use values::fields::{field_names, read_known, read_part, read_record};
+pub use values::fields::{field_names, read_part, read_record, read_strict};
 pub use values::record::{Record, RecordError, Value};

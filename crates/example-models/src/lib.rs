@@ -66,8 +66,8 @@ pub fn example_fmu(name: &str) -> Result<PathBuf, FmiError> {
 /// Returns the errors of [`example_fmu`].
 pub fn example_fmu_as(name: &str, kind: ExampleKind) -> Result<PathBuf, FmiError> {
     let Some(example) = EXAMPLES.iter().find(|example| example.name == name) else {
-        let known: Vec<&str> = example_names().collect();
-        let problem = format!("unknown example model \"{name}\"; expected one of: {}", known.join(", "));
+        let available: Vec<&str> = example_names().collect();
+        let problem = format!("unknown example model \"{name}\"; expected one of: {}", available.join(", "));
         return Err(FmiError::BadSetting(problem));
     };
     let file_name = format!("{name}{}.fmu", kind.suffix());

@@ -14,23 +14,23 @@ pub struct CancelRequest(Option<Arc<dyn Fn() -> bool + Send + Sync>>);
 impl CancelRequest {
     /// Creates a request from a function. The working thread calls it from time to time. If it returns true,
     /// the work ends with [`FmiError::Cancelled`].
-    pub fn asking(ask: impl Fn() -> bool + Send + Sync + 'static) -> Self {
+    pub fn polling(ask: impl Fn() -> bool + Send + Sync + 'static) -> Self {
         Self(Some(Arc::new(ask)))
     }
 
     /// Creates a request that cancels the work soon after `flag` is set.
     pub fn when(flag: Arc<AtomicBool>) -> Self {
-        Self::asking(move || flag.load(Ordering::Relaxed))
+        Self::polling(move || flag.load(Ordering::Relaxed))
     }
 
     /// True if cancellation is requested.
-    pub fn is_asked(&self) -> bool {
+    pub fn is_requested(&self) -> bool {
         self.0.as_ref().is_some_and(|ask| ask())
     }
 
     /// Returns [`FmiError::Cancelled`] if cancellation is requested.
     pub(crate) fn check(&self) -> Result<()> {
-        if self.is_asked() { Err(FmiError::Cancelled) } else { Ok(()) }
+        if self.is_requested() { Err(FmiError::Cancelled) } else { Ok(()) }
     }
 }
 
@@ -62,9 +62,9 @@ mod tests {
     fn cancel_request_is_set_by_flag_or_function() {
         let flag = Arc::new(AtomicBool::new(false));
         let cancel = CancelRequest::when(Arc::clone(&flag));
-        assert!(!cancel.is_asked() && !CancelRequest::default().is_asked());
+        assert!(!cancel.is_requested() && !CancelRequest::default().is_requested());
         flag.store(true, Ordering::Relaxed);
         assert!(matches!(cancel.check(), Err(FmiError::Cancelled)));
-        assert!(CancelRequest::asking(|| true).is_asked() && !CancelRequest::from(None).is_asked());
+        assert!(CancelRequest::polling(|| true).is_requested() && !CancelRequest::from(None).is_requested());
     }
 }

@@ -8,7 +8,7 @@ use crate::description::{
 use crate::error::{FmiError, Result};
 use crate::fair_lock::FairLock;
 use crate::libraries::{
-    Libraries, LibraryFile, LoadedLibrary, Maker, ResetKnowledge, Reuse, Setting, Wanted,
+    Libraries, LibraryFile, LibraryRequest, LoadedLibrary, Maker, ResetKnowledge, Reuse, Setting,
 };
 use crate::macros::getters;
 use crate::open_options::{LogOptions, OpenOptions};
@@ -225,20 +225,20 @@ impl Fmu {
     #[inline]
     pub(crate) fn real_variable(&self, reference: u32) -> Option<&Variable> {
         let variables = &self.description().variables;
-        let known = self.inner.real_references.get_or_init(|| {
+        let references = self.inner.real_references.get_or_init(|| {
             let reals = variables.iter().enumerate().filter(|(_, v)| v.kind == VariableKind::Real);
-            let mut known: Vec<(u32, usize)> = reals.map(|(i, v)| (v.value_reference, i)).collect();
-            known.sort_unstable();
-            known.dedup_by_key(|(reference, _)| *reference);
-            known
+            let mut references: Vec<(u32, usize)> = reals.map(|(i, v)| (v.value_reference, i)).collect();
+            references.sort_unstable();
+            references.dedup_by_key(|(reference, _)| *reference);
+            references
         });
         // Most tools use consecutive value references, so the position is the offset from the first one.
-        let offset = reference.wrapping_sub(known.first()?.0) as usize;
-        let place = match known.get(offset) {
+        let offset = reference.wrapping_sub(references.first()?.0) as usize;
+        let place = match references.get(offset) {
             Some((guessed, _)) if *guessed == reference => offset,
-            _ => known.binary_search_by_key(&reference, |(reference, _)| *reference).ok()?,
+            _ => references.binary_search_by_key(&reference, |(reference, _)| *reference).ok()?,
         };
-        Some(&variables[known[place].1])
+        Some(&variables[references[place].1])
     }
 
     /// Rejects value references that no variable of type Real has. FMUs use value references as indices
@@ -290,12 +290,12 @@ impl Fmu {
     /// shared. The processes end when their last user drops them. Returns `None` if this program cannot start
     /// worker processes (see [`Launcher`](crate::worker::Launcher)).
     pub fn workers(&self, limits: WorkerLimits) -> Option<Arc<Workers>> {
-        let mut known = self.inner.workers.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(workers) = known.upgrade().filter(|workers| *workers.limits() == limits) {
+        let mut shared = self.inner.workers.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(workers) = shared.upgrade().filter(|workers| *workers.limits() == limits) {
             return Some(workers);
         }
         let workers = Workers::new(limits)?;
-        *known = Arc::downgrade(&workers);
+        *shared = Arc::downgrade(&workers);
         Some(workers)
     }
 
@@ -369,13 +369,13 @@ impl Fmu {
     /// the caller](Self::take_repetition), so that the caller knows how many simulations an answer can
     /// require.
     pub fn repeat_if_learned<T, E>(&self, mut simulate: impl FnMut() -> Result<T, E>) -> Result<T, E> {
-        let known_now = || self.reset_knowledge(InterfaceKind::CoSimulation).stop_time;
+        let stop_time = || self.reset_knowledge(InterfaceKind::CoSimulation).stop_time;
         loop {
-            let known = known_now();
+            let before = stop_time();
             match simulate() {
-                Err(_) if known_now() != known && !is_worker() => {}
+                Err(_) if stop_time() != before && !is_worker() => {}
                 outcome => {
-                    let is_left = outcome.is_err() && known_now() != known;
+                    let is_left = outcome.is_err() && stop_time() != before;
                     self.inner.is_to_be_repeated.fetch_or(is_left, Ordering::Relaxed);
                     return outcome;
                 }
@@ -459,7 +459,7 @@ impl Fmu {
     /// Returns [`FmiError::Cancelled`], and other variants of [`FmiError`] if the FMU cannot be run on this
     /// machine.
     pub fn prepare(&self, kind: InterfaceChoice, cancel: &CancelRequest) -> Result<()> {
-        self.library(self.choose(kind)?, Some(&[]), cancel, &mut || !cancel.is_asked()).map(|_| ())
+        self.library(self.choose(kind)?, Some(&[]), cancel, &mut || !cancel.is_requested()).map(|_| ())
     }
 
     /// Returns the loaded library for this platform, for an instance with these settings. `settings` are
@@ -486,7 +486,7 @@ impl Fmu {
             find: &|| self.library_file(interface, cancel),
             open: &|from| self.load(from, kind),
         };
-        let library = self.inner.libraries.get(Wanted { kind, settings, only_one }, &maker, wait)?;
+        let library = self.inner.libraries.get(LibraryRequest { kind, settings, only_one }, &maker, wait)?;
         // The unpacked files may have been removed in the meantime.
         self.running_root()?;
         Ok(library)
@@ -544,8 +544,8 @@ impl Fmu {
 
     fn not_offered(&self, wanted: String) -> FmiError {
         let description = self.description();
-        let known = InterfaceKind::WORDS.iter().filter(|(_, kind)| self.interface(*kind).is_some());
-        let mut offered: Vec<&str> = known.map(|(word, _)| *word).collect();
+        let interfaces = InterfaceKind::WORDS.iter().filter(|(_, kind)| self.interface(*kind).is_some());
+        let mut offered: Vec<&str> = interfaces.map(|(word, _)| *word).collect();
         if description.offers_scheduled_execution {
             offered.push("scheduled execution");
         }

@@ -87,7 +87,7 @@ impl FmuCache {
 
     fn find(&self, key: &Key, options: &OpenOptions) -> Option<Fmu> {
         let mut entries = self.entries();
-        let position = entries.iter().position(|known| known.key == *key && known.options == *options)?;
+        let position = entries.iter().position(|entry| entry.key == *key && entry.options == *options)?;
         if entries[position].fmu.archive().changed_library().is_some() {
             let entry = entries.remove(position);
             drop(entries);

@@ -60,8 +60,8 @@ pub(crate) struct Lines {
 impl Lines {
     /// Adds a line. If the store is full, the new line reuses the buffers of the oldest one.
     pub(crate) fn push(&mut self, status: Status, category: &[u8], text: &[u8]) {
-        let is_asked = |requested: &String| requested.as_bytes() == category;
-        if status == Status::Ok && !self.categories.is_empty() && !self.categories.iter().any(is_asked) {
+        let is_requested = |requested: &String| requested.as_bytes() == category;
+        if status == Status::Ok && !self.categories.is_empty() && !self.categories.iter().any(is_requested) {
             return;
         }
         let mut line = if self.kept.len() >= LINES {

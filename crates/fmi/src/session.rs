@@ -86,7 +86,7 @@ impl Session {
             }
             (None, value) => convert(variable, &value, None)?,
         };
-        match self.values.iter_mut().find(|(known, _)| *known == index) {
+        match self.values.iter_mut().find(|(entry, _)| *entry == index) {
             Some(entry) => entry.1 = value,
             None => self.values.push((index, value)),
         }
@@ -127,7 +127,7 @@ impl Session {
     /// # Errors
     /// Returns an error if the name is unknown, or if the model cannot be initialized.
     pub fn get(&mut self, name: &str) -> Result<Value> {
-        if let Some(value) = self.known(name, self.last.is_some())? {
+        if let Some(value) = self.value_without_run(name, self.last.is_some())? {
             return Ok(value);
         }
         match &mut self.last {
@@ -142,7 +142,7 @@ impl Session {
     ///
     /// # Errors
     /// Returns an error if the name is unknown.
-    pub fn known(&self, name: &str, is_simulated: bool) -> Result<Option<Value>> {
+    pub fn value_without_run(&self, name: &str, is_simulated: bool) -> Result<Option<Value>> {
         let VariableElement { variable: index, element } =
             VariableElement::of_name(self.fmu.description(), &self.structure(), name)?;
         let set = || self.values.iter().find(|(i, _)| *i == index).map(|(_, value)| value.clone());
@@ -321,7 +321,10 @@ impl Session {
                 continue;
             };
             // The last value counts, even if it is set through an alias.
-            match references.iter().position(|known| *known == variable.value_reference) {
+            match references
+                .iter()
+                .position(|value_without_run| *value_without_run == variable.value_reference)
+            {
                 Some(k) => (parameters[k], values[k]) = (name, number),
                 None => {
                     references.push(variable.value_reference);

@@ -45,8 +45,8 @@ impl Fmu {
         let path = self.path();
         let failed = |error: zip::result::ZipError| FmiError::io("copy", path)(error.into());
         let file = open_regular(path).map_err(FmiError::io("open", path))?;
-        let known = self.content_hash()?;
-        if Fmu::open_with(path, self.options())?.content_hash()? != known {
+        let hash = self.content_hash()?;
+        if Fmu::open_with(path, self.options())?.content_hash()? != hash {
             return Err(FmiError::bad_archive(path, "the file has been modified since it was opened"));
         }
         let mut packed = ZipArchive::new(file).map_err(failed)?;

@@ -64,8 +64,8 @@ fn archive_is_unpacked_and_folder_removed_on_drop() {
     .unwrap();
     let root = archive.unpack().unwrap();
     assert!(root.is_absolute() && archive.is_private());
-    let own = root.strip_prefix(std::env::temp_dir()).unwrap();
-    assert!(own.to_str().unwrap().starts_with("fmufit-"), "{}", root.display());
+    let folder_name = root.strip_prefix(std::env::temp_dir()).unwrap();
+    assert!(folder_name.to_str().unwrap().starts_with("fmufit-"), "{}", root.display());
     assert_eq!(fs::read_to_string(root.join("modelDescription.xml")).unwrap(), zip_bytes::DESCRIPTION);
     assert_eq!(fs::read(root.join("resources/a.txt")).unwrap(), b"stored");
     assert_eq!(fs::read(root.join("resources/deep/er/b.txt")).unwrap().len(), 90_000);

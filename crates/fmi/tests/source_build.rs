@@ -44,7 +44,7 @@ fn build(root: &Path) -> Result<PathBuf, FmiError> {
 
 /// Runs the body of a test in a separate process, with a separate cache folder and additional variables.
 /// Starts this program again for this one test, which then runs the body.
-fn in_own_environment(test: &str, variables: &[(&str, &str)], body: fn()) {
+fn with_environment(test: &str, variables: &[(&str, &str)], body: fn()) {
     const INSIDE: &str = "FMUFIT_TEST_INSIDE";
     if std::env::var_os(INSIDE).is_some() {
         return body();
@@ -74,7 +74,7 @@ fn kept() -> Vec<PathBuf> {
 
 #[test]
 fn library_is_built_once_per_content() {
-    in_own_environment("library_is_built_once_per_content", &[], builds_once_per_content);
+    with_environment("library_is_built_once_per_content", &[], builds_once_per_content);
 }
 
 fn builds_once_per_content() {
@@ -122,7 +122,7 @@ fn bundled(root: &Path) {
 
 #[test]
 fn library_is_cached_for_the_sources_it_was_built_from() {
-    in_own_environment("library_is_cached_for_the_sources_it_was_built_from", &[], builds_what_is_there);
+    with_environment("library_is_cached_for_the_sources_it_was_built_from", &[], builds_what_is_there);
 }
 
 fn builds_what_is_there() {
@@ -162,7 +162,7 @@ fn open_rejects_links_to_folders() {
 #[cfg(unix)]
 fn library_is_not_kept_in_a_shared_folder_without_a_home() {
     let name = "library_is_not_kept_in_a_shared_folder_without_a_home";
-    in_own_environment(name, &[("FMUFIT_CACHE", ""), ("HOME", ""), ("XDG_CACHE_HOME", "")], || {
+    with_environment(name, &[("FMUFIT_CACHE", ""), ("HOME", ""), ("XDG_CACHE_HOME", "")], || {
         use std::os::unix::fs::PermissionsExt;
         let root = source_folder();
         let library = build(root.path()).unwrap();
@@ -183,7 +183,7 @@ const char *fmi2GetVersion(void) { return \"2.0\"; }
 
 #[test]
 fn source_code_prefix_is_removed_from_function_names() {
-    in_own_environment("source_code_prefix_is_removed_from_function_names", &[], loses_the_prefix);
+    with_environment("source_code_prefix_is_removed_from_function_names", &[], loses_the_prefix);
 }
 
 fn loses_the_prefix() {
@@ -199,7 +199,7 @@ fn loses_the_prefix() {
 /// An assertion that fails would end the process.
 #[test]
 fn assertions_in_sources_are_disabled() {
-    in_own_environment("assertions_in_sources_are_disabled", &[], leaves_assertions_out);
+    with_environment("assertions_in_sources_are_disabled", &[], leaves_assertions_out);
 }
 
 fn leaves_assertions_out() {
@@ -213,10 +213,10 @@ fn leaves_assertions_out() {
 
 #[test]
 fn compiler_messages_are_passed_on() {
-    in_own_environment("compiler_messages_are_passed_on", &[], passes_on_what_the_compiler_says);
+    with_environment("compiler_messages_are_passed_on", &[], reports_compiler_messages);
 }
 
-fn passes_on_what_the_compiler_says() {
+fn reports_compiler_messages() {
     let root = source_folder();
     fs::write(root.path().join("sources/model.c"), "int answer(void) { return undeclared_name; }\n").unwrap();
     match build(root.path()).unwrap_err() {
@@ -234,7 +234,7 @@ fn passes_on_what_the_compiler_says() {
 
 #[test]
 fn headers_of_the_standard_are_found() {
-    in_own_environment("headers_of_the_standard_are_found", &[], finds_headers);
+    with_environment("headers_of_the_standard_are_found", &[], finds_headers);
 }
 
 fn finds_headers() {
@@ -268,7 +268,7 @@ fn hanging_compiler_is_killed() {
     fs::write(&compiler, script).unwrap();
     fs::set_permissions(&compiler, fs::Permissions::from_mode(0o755)).unwrap();
     let variables = [("CC", compiler.to_str().unwrap())];
-    in_own_environment("hanging_compiler_is_killed", &variables, ends_the_compiler);
+    with_environment("hanging_compiler_is_killed", &variables, ends_the_compiler);
 }
 
 fn ends_the_compiler() {
@@ -314,7 +314,7 @@ fn ends_the_compiler() {
 
 #[test]
 fn missing_compiler_is_reported_by_name() {
-    in_own_environment(
+    with_environment(
         "missing_compiler_is_reported_by_name",
         &[("CC", "no-such-compiler -x")],
         names_a_missing_compiler,
@@ -331,7 +331,7 @@ fn library_is_built_elsewhere_when_the_cache_folder_is_unusable() {
     let blocked = tempfile::NamedTempFile::new().unwrap();
     let temporary = tempfile::tempdir().unwrap();
     let temporary = temporary.path().to_str().unwrap();
-    in_own_environment(
+    with_environment(
         "library_is_built_elsewhere_when_the_cache_folder_is_unusable",
         &[
             ("FMUFIT_CACHE", blocked.path().to_str().unwrap()),
@@ -350,7 +350,7 @@ fn builds_elsewhere() {
 
 #[test]
 fn folder_is_packed_reproducibly() {
-    in_own_environment("folder_is_packed_reproducibly", &[], packs_reproducibly);
+    with_environment("folder_is_packed_reproducibly", &[], packs_reproducibly);
 }
 
 fn packs_reproducibly() {

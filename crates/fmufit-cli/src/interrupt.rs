@@ -9,16 +9,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Watches for Ctrl-C and for SIGTERM, with which other programs end this one.
 pub(crate) struct Interrupt {
-    is_asked: Arc<AtomicBool>,
+    is_requested: Arc<AtomicBool>,
     handlers: Vec<SigId>,
 }
 
 impl Interrupt {
     /// Watches until the value is dropped.
     pub(crate) fn watch() -> Result<Self, Error> {
-        let mut interrupt = Self { is_asked: Arc::default(), handlers: Vec::new() };
+        let mut interrupt = Self { is_requested: Arc::default(), handlers: Vec::new() };
         for signal in [SIGINT, SIGTERM] {
-            let flag = || Arc::clone(&interrupt.is_asked);
+            let flag = || Arc::clone(&interrupt.is_requested);
             // The order matters: the first signal finds the flag cleared and sets it.
             let shutdown = register_conditional_shutdown(signal, Exit::Interrupted.code().into(), flag());
             let handlers = [shutdown, register(signal, flag())];
@@ -31,13 +31,13 @@ impl Interrupt {
     }
 
     /// True if the end of the work was requested.
-    pub(crate) fn is_asked(&self) -> bool {
-        self.is_asked.load(Ordering::Relaxed)
+    pub(crate) fn is_requested(&self) -> bool {
+        self.is_requested.load(Ordering::Relaxed)
     }
 
     /// Returns the request as a flag.
     pub(crate) fn flag(&self) -> Arc<AtomicBool> {
-        Arc::clone(&self.is_asked)
+        Arc::clone(&self.is_requested)
     }
 }
 

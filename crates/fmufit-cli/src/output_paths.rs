@@ -13,14 +13,14 @@ pub(crate) fn check_written<'p>(
     let read: Vec<PathBuf> = read.iter().map(|path| place(path)).collect();
     let mut earlier = Vec::new();
     for path in written {
-        let (own, shown) = (place(path), path.display());
+        let (target, shown) = (place(path), path.display());
         if is_stream(path) {
             return Err(Error::input("'-' is not a file; specify a file name for this result"));
-        } else if read.contains(&own) {
+        } else if read.contains(&target) {
             return Err(Error::input(format!(
                 "{shown} is an input of this command; specify another file to write"
             )));
-        } else if earlier.contains(&own) {
+        } else if earlier.contains(&target) {
             return Err(Error::input(format!(
                 "{shown} would be written twice; specify a separate file for each result"
             )));
@@ -29,7 +29,7 @@ pub(crate) fn check_written<'p>(
         if !std::fs::metadata(path).is_ok_and(|there| !there.is_file() && !there.is_dir()) {
             drop(base::files::AtomicFile::new(path).map_err(Error::write(path))?);
         }
-        earlier.push(own);
+        earlier.push(target);
     }
     Ok(())
 }

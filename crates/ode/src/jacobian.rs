@@ -74,7 +74,7 @@ impl Jacobian {
             ));
             match kept {
                 Some(kept) => self.values = vec![0.0; kept.n_entries()],
-                None => lu::make_room(&mut self.values, n, 0.0)?,
+                None => lu::resize_matrix(&mut self.values, n, 0.0)?,
             }
             self.n = n;
         }
@@ -170,7 +170,7 @@ impl Jacobian {
         if !self.is_sparse {
             return system.jacobian(t, x, &mut self.values);
         }
-        lu::make_room(&mut self.given, self.n, 0.0)?;
+        lu::resize_matrix(&mut self.given, self.n, 0.0)?;
         let is_there = system.jacobian(t, x, &mut self.given)?;
         if let Some(pattern) = &self.pattern {
             let entries = pattern.entries().map(|(i, k)| self.given[i + self.n * k]);
@@ -253,7 +253,7 @@ mod tests {
         n: usize,
         pattern: Option<JacobianPattern>,
         limit: f64,
-        own: bool,
+        has_jacobian: bool,
         directional: bool,
     }
 
@@ -300,10 +300,10 @@ mod tests {
             true
         }
         fn jacobian(&mut self, _: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
-            if self.own {
+            if self.has_jacobian {
                 j.copy_from_slice(&self.exact(x));
             }
-            Ok(self.own)
+            Ok(self.has_jacobian)
         }
         fn directional_derivative(
             &mut self,
@@ -342,7 +342,8 @@ mod tests {
     #[test]
     fn differences_need_one_evaluation_per_colour() {
         let x: Vec<f64> = (0..10).map(|i| 0.3 + 0.1 * f64::from(i)).collect();
-        let mut chain = Chain { n: 10, pattern: None, limit: f64::INFINITY, own: false, directional: false };
+        let mut chain =
+            Chain { n: 10, pattern: None, limit: f64::INFINITY, has_jacobian: false, directional: false };
         let (result, worst, stats) = evaluated(&mut chain, &x);
         assert!(result.is_ok() && worst < 1e-6, "{worst:e}");
         assert_eq!((stats.right_hand_sides, stats.jacobians), (10, 1));
@@ -356,10 +357,10 @@ mod tests {
     fn model_derivatives_take_precedence() {
         let x = [0.5, 0.6, 0.7, 0.8];
         let pattern = Some(tridiagonal(4));
-        let mut chain = Chain { n: 4, pattern, limit: f64::INFINITY, own: true, directional: true };
+        let mut chain = Chain { n: 4, pattern, limit: f64::INFINITY, has_jacobian: true, directional: true };
         let (_, worst, stats) = evaluated(&mut chain, &x);
         assert_eq!((worst, stats.right_hand_sides, stats.directional_derivatives), (0.0, 0, 0));
-        chain.own = false;
+        chain.has_jacobian = false;
         let (_, worst, stats) = evaluated(&mut chain, &x);
         assert_eq!((worst, stats.right_hand_sides, stats.directional_derivatives), (0.0, 0, 3));
         chain.pattern = None;
@@ -371,7 +372,7 @@ mod tests {
     fn differences_go_backward_at_refused_points() {
         // All states increase (f > 0) and are at the limit, so every forward difference is rejected.
         let x = [0.5; 3];
-        let mut chain = Chain { n: 3, pattern: None, limit: 0.5, own: false, directional: false };
+        let mut chain = Chain { n: 3, pattern: None, limit: 0.5, has_jacobian: false, directional: false };
         let (result, worst, stats) = evaluated(&mut chain, &x);
         assert!(result.is_ok() && worst < 1e-6, "{worst:e}");
         // The last state decreases and needs one evaluation; the others need two.

@@ -75,7 +75,7 @@ pub trait Observer {
 
     /// True if [`step`](Self::step) should be called for accepted steps. Methods whose interpolation needs
     /// extra evaluations (DOP853) then evaluate it for every step.
-    fn wants_steps(&self) -> bool {
+    fn needs_steps(&self) -> bool {
         false
     }
 
@@ -110,8 +110,8 @@ impl<O: Observer + ?Sized> Observer for &mut O {
     fn sample(&mut self, sample: &Sample<'_>) -> ControlFlow<()> {
         (**self).sample(sample)
     }
-    fn wants_steps(&self) -> bool {
-        (**self).wants_steps()
+    fn needs_steps(&self) -> bool {
+        (**self).needs_steps()
     }
     fn step(&mut self, step: &StepView<'_>) {
         (**self).step(step);

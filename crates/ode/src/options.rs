@@ -57,7 +57,7 @@ impl Method {
     }
 
     /// Returns the method that corresponds to a method name of other tools (SciPy, SUNDIALS).
-    pub fn standing_for(name: &str) -> Option<Self> {
+    pub fn of_alias(name: &str) -> Option<Self> {
         const OTHERS: [(&str, Method); 5] = [
             ("rk45", Method::Tsit5),
             ("radau", Method::Radau5),
@@ -65,7 +65,7 @@ impl Method {
             ("cvode", Method::Auto),
             ("cvodes", Method::Auto),
         ];
-        OTHERS.into_iter().find(|(other, _)| other.eq_ignore_ascii_case(name)).map(|(_, own)| own)
+        OTHERS.into_iter().find(|(other, _)| other.eq_ignore_ascii_case(name)).map(|(_, method)| method)
     }
 
     /// True if the step size is set by the user, not by an error estimate.
@@ -84,7 +84,7 @@ impl FromStr for Method {
 
     fn from_str(name: &str) -> Result<Self, OptionsError> {
         let found = Self::ALL.into_iter().find(|method| method.name().eq_ignore_ascii_case(name));
-        found.or_else(|| Self::standing_for(name)).ok_or_else(|| OptionsError::UnknownMethod(name.to_owned()))
+        found.or_else(|| Self::of_alias(name)).ok_or_else(|| OptionsError::UnknownMethod(name.to_owned()))
     }
 }
 

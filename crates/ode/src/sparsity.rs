@@ -130,12 +130,12 @@ impl Groups {
             pattern.column(k).iter().for_each(|&i| taken[i].push(g));
             groups[g].push(k);
         }
-        let mut this = Self { starts: vec![0], columns: Vec::new() };
+        let mut lists = Self { starts: vec![0], columns: Vec::new() };
         for columns in groups {
-            this.columns.extend(columns);
-            this.starts.push(this.columns.len());
+            lists.columns.extend(columns);
+            lists.starts.push(lists.columns.len());
         }
-        this
+        lists
     }
 
     pub(crate) fn len(&self) -> usize {

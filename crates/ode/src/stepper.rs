@@ -100,14 +100,14 @@ pub(crate) struct Properties {
     pub(crate) takes_residual: bool,
     /// True if this run has no right-hand side to evaluate. [`Stepper::derivative`] is then the only source
     /// of slopes.
-    pub(crate) only_own_slopes: bool,
+    pub(crate) slopes_from_stepper_only: bool,
     /// Treatment of a step that contains a located event.
     pub(crate) step_with_event: StepWithEvent,
     /// Default number of points inside each step at which event indicators are evaluated. There are more
     /// points if steps are longer relative to the curvature of the solution.
     pub(crate) interior_samples: u32,
     /// True if the method [begins](Stepper::begin_with) with the second derivative while indicators slide.
-    pub(crate) wants_second_derivative: bool,
+    pub(crate) needs_second_derivative: bool,
     /// True if [`Stepper::derivative`] is the right-hand side also at the end of a whole step, not only at a
     /// point that was [evaluated](Stepper::evaluate).
     pub(crate) evaluates_ends: bool,
@@ -122,10 +122,10 @@ impl Default for Properties {
             has_error_estimate: true,
             takes_mass_matrix: false,
             takes_residual: false,
-            only_own_slopes: false,
+            slopes_from_stepper_only: false,
             step_with_event: StepWithEvent::Interpolated,
             interior_samples: 1,
-            wants_second_derivative: false,
+            needs_second_derivative: false,
             evaluates_ends: true,
             takes_jacobians: false,
         }

@@ -64,7 +64,7 @@ mod core_module {
     #[pymodule_export]
     use super::model::trajectory::time_tolerance;
     #[pymodule_export]
-    use super::ode::solve::{solve, solver_standing_for};
+    use super::ode::solve::{solve, solver_of_alias};
     #[pymodule_export]
     use super::optimize::methods::{method_name, method_names, method_of_number, option_names};
     #[pymodule_export]

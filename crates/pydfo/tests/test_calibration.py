@@ -245,10 +245,10 @@ def test_failed_simulations_are_counted(dahlquist):
     ],
     ids=lambda v: ",".join(f"{k}" for k in v) if isinstance(v, dict) else "",
 )
-def test_mismatched_arguments_are_named(dahlquist, tmp_path, monkeypatch, changes, error, said):
+def test_mismatched_arguments_are_named(dahlquist, tmp_path, monkeypatch, changes, error, expected):
     monkeypatch.chdir(tmp_path)
     arguments = {"model": dahlquist, "data": {"time": TIME, "x": TRUE}, "outputs": ["x"], "parameters": [K], **changes}
-    with pytest.raises(error, match=said):
+    with pytest.raises(error, match=expected):
         Calibration(**arguments)
     assert list(tmp_path.iterdir()) == []
 
@@ -267,14 +267,14 @@ def test_settings_reach_the_solver_and_the_problem_identity(dahlquist, tmp_path)
 
 def test_bad_csv_files_are_rejected_with_position(dahlquist, tmp_path):
     path = tmp_path / "data.csv"
-    for text, said in [
+    for text, expected in [
         ("time,x\n0,1\n2,1\n1,1\n", "line 4"),
         ("time,x\n0,one\n", "'one' in column 'x', line 2"),
         ("time,y\n0,1\n", "column 'x' not found; available: 'y'"),
         ("", "no rows"),
     ]:
         path.write_text(text)
-        with pytest.raises(pydfo.BadCalibrationError, match=said) as info:
+        with pytest.raises(pydfo.BadCalibrationError, match=expected) as info:
             decay(dahlquist, path)
         assert isinstance(info.value, ValueError) and isinstance(info.value, pydfo.CalibrationError)
 
@@ -294,8 +294,8 @@ def test_bad_csv_files_are_rejected_with_position(dahlquist, tmp_path):
         (((3, 1.0), {}), TypeError, "name must be a string"),
     ],
 )
-def test_bad_parameters_are_rejected(arguments, error, said):
-    with pytest.raises(error, match=said):
+def test_bad_parameters_are_rejected(arguments, error, expected):
+    with pytest.raises(error, match=expected):
         Parameter(*arguments[0], **arguments[1])
 
 
@@ -324,8 +324,8 @@ def test_parameters_have_a_repr():
         ({"callback": 3}, TypeError, "callback"),
     ],
 )
-def test_bad_options_of_a_fit_are_named(dahlquist, changes, error, said):
-    with pytest.raises(error, match=said):
+def test_bad_options_of_a_fit_are_named(dahlquist, changes, error, expected):
+    with pytest.raises(error, match=expected):
         decay(dahlquist).fit(**changes)
 
 

@@ -27,8 +27,8 @@ from pydfo import minimize
 def test_resumed_run_equals_uninterrupted_run(method, how, tmp_path):
     chance = random.Random(f"{method} {how}")
     # L-SHADE plans with its budget, so the budget is fixed although the limit changes.
-    own = {"budget": 260} if method == "de" else {}
-    run = {**RUN, "method": method, "options": own}
+    options_of_method = {"budget": 260} if method == "de" else {}
+    run = {**RUN, "method": method, "options": options_of_method}
     whole = timeless(minimize(rosenbrock, **run, max_evaluations=260))
     path = tmp_path / "run"
     calls, limit = 0, 260
@@ -90,7 +90,7 @@ def test_mismatched_checkpoint_is_rejected_and_unchanged(tmp_path):
         minimize(rosenbrock, [-1.2, 1.0], checkpoint=path, resume="require")
     minimize(rosenbrock, [-1.2, 1.0], bounds=[(-2, 2)] * 2, checkpoint=path)
     before = path.read_bytes()
-    for changes, said in [
+    for changes, expected in [
         ({"x0": [-1.0, 1.0]}, "start: .* in the file, .* in this run"),
         ({"bounds": [(-3, 2), (-2, 2)]}, r"lower bounds: \[-2.0, -2.0\] in the file, \[-3.0, -2.0\] in this run"),
         ({"method": "barrier"}, "method: quadratic-model in the file, barrier in this run"),
@@ -98,7 +98,7 @@ def test_mismatched_checkpoint_is_rejected_and_unchanged(tmp_path):
         ({"options": {"x_tol": 1e-3}}, "x_tol: .* in the file, 0.001 in this run"),
     ]:
         arguments = {"x0": [-1.2, 1.0], "bounds": [(-2, 2)] * 2, **changes}
-        with pytest.raises(pydfo.CheckpointError, match=said):
+        with pytest.raises(pydfo.CheckpointError, match=expected):
             minimize(rosenbrock, **arguments, checkpoint=path)
     assert path.read_bytes() == before
     path.write_bytes(before[:-1] + b"x")
@@ -229,10 +229,10 @@ def test_checkpoint_is_locked_within_a_process(tmp_path):
 
 FULL = """
 import logging, pydfo, resource, sys, time
-said, calls = [], [0]
+messages, calls = [], [0]
 class Keep(logging.Handler):
     def emit(self, record):
-        said.append((calls[0], record.getMessage()))
+        messages.append((calls[0], record.getMessage()))
 logging.getLogger("pydfo").addHandler(Keep())
 def cost(x):
     calls[0] += 1
@@ -240,7 +240,7 @@ def cost(x):
     return float(x @ x)
 resource.setrlimit(resource.RLIMIT_FSIZE, (200, 200))
 result = pydfo.minimize(cost, [1.0, 2.0], workers=int(sys.argv[2]), checkpoint=sys.argv[1], max_evaluations=40, options={"checkpoint_interval": 0})
-print(len(said), said[0][0] < 20, said[0][1], "|", result.status, result.message)
+print(len(messages), messages[0][0] < 20, messages[0][1], "|", result.status, result.message)
 """
 
 
@@ -303,8 +303,8 @@ def test_children_of_killed_program_release_its_checkpoint(tmp_path):
     try:
         assert killed.wait(timeout=60) == -9
         os.kill(orphan, 0)
-        asked = {"bounds": [(-2, 2)] * 2, "method": "de", "rng": 1}
-        resumed = pydfo.minimize(cost, [0.2, 0.3], checkpoint=path, options={"problem": "x"}, resume="never", **asked)
+        arguments = {"bounds": [(-2, 2)] * 2, "method": "de", "rng": 1}
+        resumed = pydfo.minimize(cost, [0.2, 0.3], checkpoint=path, options={"problem": "x"}, resume="never", **arguments)
         assert resumed.success
     finally:
         os.killpg(killed.pid, 9)

@@ -15,7 +15,7 @@ import pytest
 from pydfo import FMUModel, example_fmu
 from pydfo.compat import fmpy as ours
 from pydfo.compat import pyfmi
-from pydfo.compat.fmpy._file import numbers, read_file, told
+from pydfo.compat.fmpy._file import numbers, read_file, attribute_values
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "compat.md"
 ROWS = re.findall(r"^\| `([\w.]+)` \| (works|differs|refused) \|", PAGE.read_text(encoding="utf-8"), re.M)
@@ -50,8 +50,8 @@ def test_table_lists_all_names_of_fmpy():
     listed = {name for name, _ in ROWS}
     for module in ("fmpy", "fmpy.model_description", "fmpy.simulation", "fmpy.util", "fmpy.validation"):
         there = importlib.import_module(module)
-        own = [n for n, v in vars(there).items() if callable(v) and getattr(v, "__module__", "") == module and not n.startswith("_")]
-        assert {f"{module}.{name}" for name in own} <= listed, fmpy.__version__
+        public = [n for n, v in vars(there).items() if callable(v) and getattr(v, "__module__", "") == module and not n.startswith("_")]
+        assert {f"{module}.{name}" for name in public} <= listed, fmpy.__version__
 
 
 # --- FMPy -------------------------------------------------------------------------------------------------------------
@@ -114,7 +114,7 @@ def test_structure_omits_unknown_variables():
     file = read_file(STRUCTURE.replace('index="5"', 'index="99"').replace('dependencies="4"', 'dependencies="x 4"').encode())
     assert [attributes["index"] for _, attributes in file.unknowns["derivatives"]] == ["3", "99"]
     assert numbers("x 4 -1 7") == [4, 7]
-    assert told({"priority": "first", "resolution": "3", "canBeDeactivated": "1"}, {"priority", "resolution"}) == {"resolution": 3}
+    assert attribute_values({"priority": "first", "resolution": "3", "canBeDeactivated": "1"}, {"priority", "resolution"}) == {"resolution": 3}
 
 
 def test_invalid_xml_is_simulated_but_not_described(tmp_path):
@@ -179,8 +179,8 @@ def test_descriptions_match_fmpy(model):
 def test_results_match_fmpy(model):
     fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
     path = str(example_fmu(*model))
-    asked = {"relative_tolerance": 1e-9, "record_events": False}
-    a, b = ours.simulate_fmu(path, **asked), fmpy.simulate_fmu(path, **asked)
+    arguments = {"relative_tolerance": 1e-9, "record_events": False}
+    a, b = ours.simulate_fmu(path, **arguments), fmpy.simulate_fmu(path, **arguments)
     assert a.dtype == b.dtype and a.modelDescription.modelName == b.modelDescription.modelName
     assert np.allclose(a["time"], b["time"], atol=1e-12)
     for name in a.dtype.names:
@@ -191,12 +191,12 @@ def test_results_match_fmpy(model):
 def test_euler_steps_match_fmpy(given):
     """x' = -k x, one step from row to row: each row multiplies x by 1 - k h."""
     path = str(example_fmu("dahlquist", kind="ME"))
-    asked = {"fmi_type": "ModelExchange", "solver": "Euler", "stop_time": 1, "start_values": {"k": 0.5}, **given}
-    result = ours.simulate_fmu(path, **asked)
+    arguments = {"fmi_type": "ModelExchange", "solver": "Euler", "stop_time": 1, "start_values": {"k": 0.5}, **given}
+    result = ours.simulate_fmu(path, **arguments)
     assert np.allclose(result["x"], np.cumprod(np.append(1.0, 1 - 0.5 * np.diff(result["time"]))), rtol=1e-13)
     assert result["time"][1] == pytest.approx(given.get("output_interval", given.get("step_size", 1e-3)))
     fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
-    theirs = fmpy.simulate_fmu(path, **asked)
+    theirs = fmpy.simulate_fmu(path, **arguments)
     assert np.allclose(result["time"], theirs["time"], atol=1e-14) and np.allclose(result["x"], theirs["x"], rtol=1e-13)
 
 
@@ -204,18 +204,18 @@ def test_unused_columns_are_ignored_and_input_derivatives_applied():
     signals = np.array([(0, 1, 7), (5, 3, 7)], dtype=[("time", float), ("u", float), ("nothing", float)])
     last = {}
     for kind, u in (("ME", 3.0), ("CS", 2.6)):  # co-simulation holds the input constant over a step
-        path, asked = example_fmu("switched_input", kind=kind), {"stop_time": 5, "output_interval": 1, "output": ["y", "u"]}
+        path, arguments = example_fmu("switched_input", kind=kind), {"stop_time": 5, "output_interval": 1, "output": ["y", "u"]}
         with pytest.warns(UserWarning, match="not inputs of the model have no effect: nothing$"):
-            result = ours.simulate_fmu(path, input=signals, **asked)
-        assert np.array_equal(result, ours.simulate_fmu(path, input=signals[["time", "u"]], **asked)) and result["u"][-1] == u
+            result = ours.simulate_fmu(path, input=signals, **arguments)
+        assert np.array_equal(result, ours.simulate_fmu(path, input=signals[["time", "u"]], **arguments)) and result["u"][-1] == u
         last[kind] = result["y"][-1]
         with pytest.warns(UserWarning, match="nothing"):
-            alone = ours.simulate_fmu(path, input=signals[["time", "nothing"]], **asked)
-        assert np.array_equal(alone, ours.simulate_fmu(path, **asked))
-    asked |= {"input": signals[["time", "u"]], "set_input_derivatives": True}
-    assert abs(ours.simulate_fmu(path, **asked)["y"][-1] - last["ME"]) < 0.01 < 0.1 < abs(last["CS"] - last["ME"])
+            alone = ours.simulate_fmu(path, input=signals[["time", "nothing"]], **arguments)
+        assert np.array_equal(alone, ours.simulate_fmu(path, **arguments))
+    arguments |= {"input": signals[["time", "u"]], "set_input_derivatives": True}
+    assert abs(ours.simulate_fmu(path, **arguments)["y"][-1] - last["ME"]) < 0.01 < 0.1 < abs(last["CS"] - last["ME"])
     with pytest.raises(ValueError, match="the FMU cannot interpolate inputs"):
-        ours.simulate_fmu(example_fmu("switched_input", version="3.0"), fmi_type="CoSimulation", **asked)
+        ours.simulate_fmu(example_fmu("switched_input", version="3.0"), fmi_type="CoSimulation", **arguments)
 
 
 def test_folders_of_bad_archives_are_removed(tmp_path, monkeypatch):
@@ -225,11 +225,11 @@ def test_folders_of_bad_archives_are_removed(tmp_path, monkeypatch):
     with pytest.raises(OSError):
         ours.extract(path)
     assert list((tmp_path / "temporary").iterdir()) == []
-    own = tmp_path / "own"
-    own.mkdir()
+    target = tmp_path / "own"
+    target.mkdir()
     with pytest.raises(OSError):
-        ours.extract(path, own)
-    assert own.is_dir()
+        ours.extract(path, target)
+    assert target.is_dir()
     assert (ours.extract(path, include=lambda name: name != "a/b") / "a").read_text() == "1"
 
 
@@ -249,9 +249,9 @@ def test_rows_contain_both_sides_of_input_jumps(tmp_path):
     """Rows equal those of FMPy's test_input in event mode, even if they do not match the internal step of the
     model."""
     path = example_fmu("switched_input", version="3.0")
-    own_step = fmus.changed("switched_input", tmp_path / "own.fmu", ("<CoSimulation ", '<CoSimulation fixedInternalStepSize="0.1" '), version="3.0")
+    fixed_step = fmus.changed("switched_input", tmp_path / "own.fmu", ("<CoSimulation ", '<CoSimulation fixedInternalStepSize="0.1" '), version="3.0")
     signals = np.array([(0, 1), (0.5, 1), (0.5, 2), (1, 2)], dtype=[("time", float), ("u", float)])
-    for file in (path, own_step):
+    for file in (path, fixed_step):
         result = ours.simulate_fmu(file, fmi_type="CoSimulation", input=signals, stop_time=1, output_interval=0.25, output=["u"], use_event_mode=True)
         assert result["time"].tolist() == [0, 0.25, 0.5, 0.5, 0.75, 1] and result["u"].tolist() == [1, 1, 1, 2, 2, 2], file
     plain = ours.simulate_fmu(path, fmi_type="CoSimulation", input=signals, stop_time=1, output_interval=0.25, output=["u"])

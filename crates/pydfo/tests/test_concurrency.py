@@ -39,12 +39,12 @@ def test_four_points_of_a_round_are_evaluated_at_once():
         nonlocal count
         with lock:
             count += 1
-            mine = count
+            number = count
         # Shorter evaluations may not be distributed if distribution has just taken long, as on a busy machine. The
         # three vertices come first. Rounds of four points follow: the required point and the most probable
         # alternatives.
         time.sleep(0.1)
-        if mine > 3:
+        if number > 3:
             barrier.wait(PATIENCE)
         return rosenbrock(x)
 
@@ -117,17 +117,17 @@ def test_runs_may_be_nested_and_concurrent():
 def test_other_threads_run_while_workers_wait():
     # The objective can return only if another Python thread gets the lock in the meantime.
     free = threading.Event()
-    asked = threading.Event()
+    started = threading.Event()
 
     def helper():
-        asked.wait(PATIENCE)
+        started.wait(PATIENCE)
         free.set()
 
     thread = threading.Thread(target=helper)
     thread.start()
 
     def func(x):
-        asked.set()
+        started.set()
         assert free.wait(PATIENCE)
         return rosenbrock(x)
 

@@ -21,10 +21,10 @@ X = np.exp(-2.0 * TIME)
 COST = Calibration(example_fmu("dahlquist"), {"time": TIME, "x": X}, ["x"], [Parameter("k", 1.0, 0.1, 10.0)]).cost([1.0])
 
 
-def cost(data, column="x", **own):
+def cost(data, column="x", **options):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        calibration = Calibration(example_fmu("dahlquist"), data, {"x": column}, [Parameter("k", 1.0, 0.1, 10.0)], **own)
+        calibration = Calibration(example_fmu("dahlquist"), data, {"x": column}, [Parameter("k", 1.0, 0.1, 10.0)], **options)
     return calibration.cost([1.0])
 
 
@@ -53,10 +53,10 @@ def in_memory():
     yield "objects", pd.DataFrame({"time": TIME, "x": X}, dtype=object), {}
 
 
-@pytest.mark.parametrize(("shape", "data", "own"), [pytest.param(*one, id=one[0]) for one in in_memory()])
-def test_tables_in_memory_are_read(shape, data, own):
+@pytest.mark.parametrize(("shape", "data", "options"), [pytest.param(*one, id=one[0]) for one in in_memory()])
+def test_tables_in_memory_are_read(shape, data, options):
     # 32-bit floats and rounded durations cause small differences
-    assert cost(data, **own) == pytest.approx(COST, rel=1e-6)
+    assert cost(data, **options) == pytest.approx(COST, rel=1e-6)
 
 
 def test_polars_and_xarray_are_read():
@@ -384,9 +384,9 @@ def test_factor_scales_an_output_and_an_input():
         ({"time": TIME, "x": X}, {"sheet": "a"}, r"sheet = 'a' requires a workbook \(\.xlsx\)"),
     ],
 )
-def test_errors_state_their_position(data, own, message):
+def test_errors_state_their_position(data, options, message):
     with pytest.raises(BadCalibrationError, match=message):
-        cost(data, **own)
+        cost(data, **options)
 
 
 def test_arrays_without_names_are_rejected():
@@ -506,11 +506,11 @@ def test_resampling_averages_rows():
         cost({"time": TIME, "x": X}, resample=0.2, weights={"x": np.full(11, 2.0)})
 
 
-def tank(data, **own):
+def tank(data, **options):
     parameters = [Parameter("qt.a1", 3e-6, 2e-6, 4e-6), Parameter("qt.a2", 3e-6, 2e-6, 4e-6)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", CalibrationWarning)
-        return Calibration(example_fmu("quad_tank"), data, ["qt.x1", "qt.x2"], parameters, **{"inputs": ["u1", "u2"], **own})
+        return Calibration(example_fmu("quad_tank"), data, ["qt.x1", "qt.x2"], parameters, **{"inputs": ["u1", "u2"], **options})
 
 
 @pytest.mark.parametrize(
@@ -522,10 +522,10 @@ def tank(data, **own):
         (lambda d: {k: v for k, v in d.items() if k != "u2"}, {"inputs": ["u1"]}, "input 'u2': the input is not driven"),
     ],
 )
-def test_check_reports_mistakes(change, own, said):
-    check = tank(change(recordings.quad_tank("own")), **own).check()
+def test_check_reports_mistakes(change, options, expected):
+    check = tank(change(recordings.quad_tank("own")), **options).check()
     assert check and not check.ok
-    assert any(__import__("re").search(said, f"{f.subject}: {f.sentence}") for f in check), str(check)
+    assert any(__import__("re").search(expected, f"{f.subject}: {f.sentence}") for f in check), str(check)
     assert all(f.severity in ("warning", "note") for f in check) and "warning" in str(check) and check.n_evaluations >= 1
 
 
@@ -609,8 +609,8 @@ def test_rows_without_weight_are_not_averaged_when_resampled():
     times = np.linspace(0.0, 2.0, 400)
     wrong = np.where(np.arange(400) % 7 == 3, 50.0, 0.0)
     data = {"time": times, "x": np.exp(-times) + wrong, "ok": (wrong == 0.0).astype(float)}
-    for own in ({"weights": {"x": "ok"}}, {"weights": {"x": wrong == 0.0}}, {"mask": "ok"}):
-        calibration = Calibration(example_fmu("dahlquist"), data, ["x"], [Parameter("k", 1.2, 0.1, 10.0)], resample=0.1, **own)
+    for options in ({"weights": {"x": "ok"}}, {"weights": {"x": wrong == 0.0}}, {"mask": "ok"}):
+        calibration = Calibration(example_fmu("dahlquist"), data, ["x"], [Parameter("k", 1.2, 0.1, 10.0)], resample=0.1, **options)
         fit = calibration.fit()
         assert fit.x[0] == pytest.approx(1.0, abs=2e-3) and calibration.n_measurements == 21
 

@@ -168,10 +168,10 @@ def test_aliases_are_listed_as_variables(tmp_path):
     description = read_description(fmus.write(tmp_path / "m.fmu", ALIASES))
     variables = description.variables
     assert list(variables) == ["T", "sensor.T", "s"] and len(variables) == 3
-    alias, own = variables["sensor.T"], variables["T"]
+    alias, variable = variables["sensor.T"], variables["T"]
     assert (alias.name, alias.description, alias.display_unit, alias.aliases) == ("sensor.T", "measured", "degC", ("T",))
-    assert (own.description, own.display_unit, own.aliases) == ("temperature", None, ("sensor.T",))
-    assert (alias.index, alias.value_reference, alias.start) == (own.index, own.value_reference, 1.0)
+    assert (variable.description, variable.display_unit, variable.aliases) == ("temperature", None, ("sensor.T",))
+    assert (alias.index, alias.value_reference, alias.start) == (variable.index, variable.value_reference, 1.0)
     assert variables["s"].start == "text" and [quirk.kind for quirk in description.quirks] == ["start"]
 
 

@@ -103,10 +103,10 @@ class Losing(concurrent.futures.ThreadPoolExecutor):
 
 @pytest.mark.parametrize("method", ["de", "nelder-mead", "pattern-search"])
 def test_lost_points_are_evaluated_again(method):
-    asked = {"bounds": [(-2, 2)] * 2, "method": method, "rng": 1, "max_evaluations": 200}
+    arguments = {"bounds": [(-2, 2)] * 2, "method": method, "rng": 1, "max_evaluations": 200}
     with Losing() as executor:
-        result = pydfo.minimize(slow_cost, [-1.2, 1.0], workers=executor, **asked)
-    same(result, pydfo.minimize(slow_cost, [-1.2, 1.0], **asked))
+        result = pydfo.minimize(slow_cost, [-1.2, 1.0], workers=executor, **arguments)
+    same(result, pydfo.minimize(slow_cost, [-1.2, 1.0], **arguments))
     assert result.n_lost > 10 and result.nfail == 0
 
 
@@ -127,14 +127,14 @@ class LosingAll(concurrent.futures.ThreadPoolExecutor):
 
 
 def test_repeatedly_lost_point_ends_run_and_is_evaluated_on_resume(tmp_path):
-    asked = {"bounds": [(-2, 2)] * 2, "method": "de", "rng": 1, "max_evaluations": 90}
+    arguments = {"bounds": [(-2, 2)] * 2, "method": "de", "rng": 1, "max_evaluations": 90}
     path = tmp_path / "run.ckpt"
     with LosingAll() as executor:
-        lost = pydfo.minimize(slow_cost, [0.2, 0.3], workers=executor, checkpoint=path, **asked)
+        lost = pydfo.minimize(slow_cost, [0.2, 0.3], workers=executor, checkpoint=path, **arguments)
     assert not lost.success and lost.status == 6 and lost.nfail == 0
     assert "lost the same point 3 times" in lost.message and "the scheduler is gone" in lost.message
-    resumed = pydfo.minimize(slow_cost, [0.2, 0.3], checkpoint=path, **asked)
-    whole = pydfo.minimize(slow_cost, [0.2, 0.3], **asked)
+    resumed = pydfo.minimize(slow_cost, [0.2, 0.3], checkpoint=path, **arguments)
+    whole = pydfo.minimize(slow_cost, [0.2, 0.3], **arguments)
     assert (resumed.x.tobytes(), resumed.fun, resumed.nfev) == (whole.x.tobytes(), whole.fun, whole.nfev)
 
 
@@ -177,12 +177,12 @@ def test_too_many_failures_end_a_run():
     def failing(x):
         return np.nan if x[0] > 0.3 else slow_cost(x)
 
-    asked = {"bounds": [(-1, 1)] * 2, "method": "de", "rng": 1, "options": {"max_failed": 0.25}}
-    result = pydfo.minimize(failing, **asked)
+    arguments = {"bounds": [(-1, 1)] * 2, "method": "de", "rng": 1, "options": {"max_failed": 0.25}}
+    result = pydfo.minimize(failing, **arguments)
     assert result.status == 17 and result.nfev < 4 * result.nfail and np.isfinite(result.fun)
     assert "more than the allowed share of 0.25" in result.message
     with pytest.raises(ValueError, match="max_failed"):
-        pydfo.minimize(failing, **{**asked, "options": {"max_failed": 2}})
+        pydfo.minimize(failing, **{**arguments, "options": {"max_failed": 2}})
 
 
 def test_exceptions_end_the_run():
@@ -225,9 +225,9 @@ def test_robust_losses_stages_and_noise_work_on_executor():
         return pydfo.Calibration(pydfo.example_fmu("dahlquist"), data, ["x"], [prior])
 
     with concurrent.futures.ThreadPoolExecutor(2) as executor:
-        for asked in ({"noise": "estimated"}, {"loss": "huber", "f_scale": 0.01, "noise": "stated"}, {"stages": [["k"], ["k"]]}):
-            one, other = (calibration().fit(workers=workers, batch="serial", **asked) for workers in (1, executor))
-            assert (one.x.tobytes(), one.cost, one.nfev) == (other.x.tobytes(), other.cost, other.nfev), asked
+        for arguments in ({"noise": "estimated"}, {"loss": "huber", "f_scale": 0.01, "noise": "stated"}, {"stages": [["k"], ["k"]]}):
+            one, other = (calibration().fit(workers=workers, batch="serial", **arguments) for workers in (1, executor))
+            assert (one.x.tobytes(), one.cost, one.nfev) == (other.x.tobytes(), other.cost, other.nfev), arguments
 
 
 def test_missing_model_is_sent_to_worker(tmp_path, monkeypatch):
@@ -237,16 +237,16 @@ def test_missing_model_is_sent_to_worker(tmp_path, monkeypatch):
     path = tmp_path / "elsewhere.fmu"
     path.write_bytes(open(pydfo.example_fmu("dahlquist"), "rb").read())
     data = {"time": TIMES, "x": np.exp(-1.7 * TIMES)}
-    own = pydfo.Calibration(path, data, ["x"], [pydfo.Parameter("k", 1, 0.1, 5)])
-    state, content = own._native.state(), None
+    moved = pydfo.Calibration(path, data, ["x"], [pydfo.Parameter("k", 1, 0.1, 5)])
+    state, content = moved._native.state(), None
     _, content = pydfo._core.Calibration.model_of(state)
     model = path.read_bytes()
     path.unlink()
     monkeypatch.setattr(_engine.tempfile, "gettempdir", lambda: str(tmp_path))
     monkeypatch.setattr(_engine, "_problems", {})
-    problem = _engine.Problem(state, own._opened, own._functions)
+    problem = _engine.Problem(state, moved._opened, moved._functions)
     point = (np.array([1.7]), np.inf)
-    loss = calibration_loss(own)
+    loss = calibration_loss(moved)
     assert _engine.simulate(pydfo.__version__, "key", None, *point, loss).what == "problem"
     assert _engine.simulate(pydfo.__version__, "key", problem, *point, loss).what == "model"
     _, answer = _engine.simulate(pydfo.__version__, "key", problem._replace(model=model), *point, loss)
@@ -287,16 +287,16 @@ def test_process_receives_each_problem_once(monkeypatch):
         data = {"time": TIMES, "x": np.exp(-0.9 * TIMES)}
         return pydfo.Calibration(pydfo.example_fmu("dahlquist"), data, ["x"], [pydfo.Parameter("k", 1, 0.1, 5)])
 
-    asked = {"method": "de", "rng": 1, "max_evaluations": 90}
+    arguments = {"method": "de", "rng": 1, "max_evaluations": 90}
     with CountingSends(2) as executor:
         # a problem may also reach the process that has it already
-        decay().fit(workers=executor, **asked)
+        decay().fit(workers=executor, **arguments)
         assert 1 <= executor.n_sends <= 6
-        other().fit(workers=executor, **asked)
+        other().fit(workers=executor, **arguments)
         assert executor.n_sends <= 12
         sent = executor.n_sends
         for calibration in (decay(), other(), decay()):
-            calibration.fit(workers=executor, **asked)
+            calibration.fit(workers=executor, **arguments)
         assert executor.n_sends <= sent + 2
 
 
@@ -338,9 +338,9 @@ class Cancelling(concurrent.futures.ThreadPoolExecutor):
 
 def test_externally_cancelled_tasks_are_evaluated_again():
     with Cancelling(2) as executor:
-        asked = {"bounds": [(-2, 2)] * 2, "method": "de", "rng": 1, "max_evaluations": 120}
-        result = pydfo.minimize(slow_cost, [-1.2, 1.0], workers=executor, **asked)
-    same(result, pydfo.minimize(slow_cost, [-1.2, 1.0], **asked))
+        arguments = {"bounds": [(-2, 2)] * 2, "method": "de", "rng": 1, "max_evaluations": 120}
+        result = pydfo.minimize(slow_cost, [-1.2, 1.0], workers=executor, **arguments)
+    same(result, pydfo.minimize(slow_cost, [-1.2, 1.0], **arguments))
     assert result.nfail == 0 and result.n_lost > 10
     with pytest.raises(TypeError, match="the class ThreadPoolExecutor"):
         pydfo.minimize(slow_cost, [-1.2, 1.0], workers=concurrent.futures.ThreadPoolExecutor)
@@ -372,13 +372,13 @@ def kills_once(x, marker):
 
 def test_joblib_result_equals_serial_result():
     loky = pytest.importorskip("joblib.externals.loky")
-    asked = {"bounds": [(-2, 2)] * 2, "rng": 3, "max_evaluations": 120}
+    arguments = {"bounds": [(-2, 2)] * 2, "rng": 3, "max_evaluations": 120}
     executor = loky.get_reusable_executor(2)
     try:
         for method in ("nelder-mead", "de", "multistart"):
             same(
-                pydfo.minimize(slow_cost, [0.2, 0.3], method=method, workers=executor, **asked),
-                pydfo.minimize(slow_cost, [0.2, 0.3], method=method, workers=1, **asked),
+                pydfo.minimize(slow_cost, [0.2, 0.3], method=method, workers=executor, **arguments),
+                pydfo.minimize(slow_cost, [0.2, 0.3], method=method, workers=1, **arguments),
             )
         assert (
             decay().fit("nelder-mead", workers=executor, max_evaluations=40).x.tobytes()
@@ -391,13 +391,13 @@ def test_joblib_result_equals_serial_result():
 def test_dask_repeats_tasks_of_killed_process(tmp_path):
     distributed = pytest.importorskip("distributed")
     marker = str(tmp_path / "killed")
-    asked = {"bounds": [(-2, 2)] * 2, "method": "de", "rng": 3, "max_evaluations": 120, "args": (marker,)}
+    arguments = {"bounds": [(-2, 2)] * 2, "method": "de", "rng": 3, "max_evaluations": 120, "args": (marker,)}
     cluster = distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None)
     with cluster, distributed.Client(cluster) as client:
-        result = pydfo.minimize(kills_once, [0.2, 0.3], workers=client, **asked)
+        result = pydfo.minimize(kills_once, [0.2, 0.3], workers=client, **arguments)
     assert os.path.exists(marker) and result.nfail == 0
     # The marker exists, so no further process is killed.
-    same(result, pydfo.minimize(kills_once, [0.2, 0.3], workers=1, **asked))
+    same(result, pydfo.minimize(kills_once, [0.2, 0.3], workers=1, **arguments))
 
 
 def test_silent_executor_is_logged(monkeypatch, caplog):
@@ -452,11 +452,11 @@ def test_dask_cancels_quietly_and_missing_workers_are_logged(tmp_path):
 
 
 def results_are_equal(executor):
-    asked = {"bounds": [(-2, 2)] * 2, "rng": 3, "max_evaluations": 60}
+    arguments = {"bounds": [(-2, 2)] * 2, "rng": 3, "max_evaluations": 60}
     for method in ("nelder-mead", "de"):
         same(
-            pydfo.minimize(rosenbrock, [0.2, 0.3], method=method, workers=executor, **asked),
-            pydfo.minimize(rosenbrock, [0.2, 0.3], method=method, workers=1, **asked),
+            pydfo.minimize(rosenbrock, [0.2, 0.3], method=method, workers=executor, **arguments),
+            pydfo.minimize(rosenbrock, [0.2, 0.3], method=method, workers=1, **arguments),
         )
     fits = [decay().fit("nelder-mead", workers=workers, max_evaluations=40) for workers in (executor, 1)]
     assert fits[0].x.tobytes() == fits[1].x.tobytes()

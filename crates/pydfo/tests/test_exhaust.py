@@ -102,7 +102,7 @@ def test_cost_is_smooth_across_kinks_of_inputs(solver, rtol, record):
     """Inputs change their slope at each of 600 times, and the cost must not be noisy.
 
     At 1e-8, BDF rejects 2300 of 34000 steps, and rounding determines which ones. A cost is then smooth to a few of
-    its own tolerances (25 points around this one: up to 5)."""
+    its tolerances (25 points around this one: up to 5)."""
     smooth = 1e-7 if (solver, rtol) == ("bdf", 1e-8) else 1e-8
     first = record["time"] <= 600
     names = ["C1", "G1", "C2", "G2"]

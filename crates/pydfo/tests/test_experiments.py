@@ -117,7 +117,7 @@ def test_held_input_equals_doubled_rows_and_is_not_reported():
 
 def test_parameter_acts_only_in_its_experiments():
     cases = [("a", 2.0, {}), ("b", 2.0, {}), ("c", 3.0, {}), ("d", 4.0, {"k": 4.0})]
-    runs = [Experiment(decay(1.0, k), {"x": "y"}, name=name, start_values=own) for name, k, own in cases]
+    runs = [Experiment(decay(1.0, k), {"x": "y"}, name=name, start_values=start_values) for name, k, start_values in cases]
     parameters = [
         Parameter("k of a and b", 1.0, 0.1, 10.0, variables="k", experiments=["a", "b"]),
         Parameter("k of c", 1.0, 0.1, 10.0, variables="k", experiments="c"),
@@ -159,11 +159,11 @@ def test_warnings_name_the_experiment():
     data = {"time": time, "u1": np.full(4, 5.0), "u2": np.full(4, 5.0), "x1": np.full(4, 1e-2)}
     runs = [Experiment(data, {"qt.x1": "x1"}, inputs, name=name) for name, inputs in [("cold", ["u1", "u2"]), ("hot", ["u1"])]]
     parameter = Parameter("qt.a1", 3e-6, 2e-6, 4e-6)
-    for experiments, said in [(runs, "hot: data: column 'u2'"), (runs[1:], "data: column 'u2'")]:
+    for experiments, expected in [(runs, "hot: data: column 'u2'"), (runs[1:], "data: column 'u2'")]:
         with pytest.warns(pydfo.CalibrationWarning) as caught:
             Calibration(example_fmu("quad_tank"), experiments, parameter, step_size=0.1)
         messages = [str(warning.message) for warning in caught]
-        assert len(messages) == 2 and any(message.startswith(said) for message in messages)
+        assert len(messages) == 2 and any(message.startswith(expected) for message in messages)
         # The settings are shared by all experiments.
         assert sum(message.startswith("step_size") for message in messages) == 1
 
@@ -197,8 +197,8 @@ def test_failures_name_the_experiment():
         (([Experiment(decay(1.0), {"x": "y"}, start_values={"k": 2.0})], [SHARED]), ValueError, "'k': it is fitted, but start_values"),
     ],
 )
-def test_mismatched_experiments_are_rejected(arguments, kind, said):
-    with pytest.raises(kind, match=said):
+def test_mismatched_experiments_are_rejected(arguments, kind, expected):
+    with pytest.raises(kind, match=expected):
         Calibration(example_fmu("dahlquist"), *arguments)
 
 

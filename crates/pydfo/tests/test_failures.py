@@ -155,8 +155,8 @@ def test_system_exit_point_is_independent_of_workers():
     ],
 )
 @pytest.mark.parametrize("on_error", ["raise", "fail"])
-def test_non_numeric_cost_is_a_type_error(value, said, on_error):
-    with pytest.raises(TypeError, match=said):
+def test_non_numeric_cost_is_a_type_error(value, expected, on_error):
+    with pytest.raises(TypeError, match=expected):
         fmin(lambda x: value, [1.0], on_error=on_error, **QUIET)
 
 
@@ -228,9 +228,9 @@ def test_budget_without_any_cost_is_an_error():
     ],
     ids=lambda v: str(v) if isinstance(v, dict) else "",
 )
-def test_bad_arguments_are_rejected_before_the_run(changes, error, said):
+def test_bad_arguments_are_rejected_before_the_run(changes, error, expected):
     func = Recorder(rosenbrock)
     arguments = {"func": func, "xstart": [0.5, 0.5], **QUIET, **changes}
-    with pytest.raises(error, match=said):
+    with pytest.raises(error, match=expected):
         fmin(**arguments)
     assert func.values == []

@@ -41,13 +41,13 @@ def test_undeclared_units_can_be_given() -> None:
         assert fitted(columns).parameters["k"] < 1
     fit = fitted(columns, units={"x": "m"})
     assert fit.parameters["k"] == pytest.approx(2, rel=1e-5) and fit.outputs[0].unit == "m"
-    for units, error, said in [
+    for units, error, expected in [
         ({"x": "K"}, ValueError, "mm"),
         ({"x": "mx"}, ValueError, "units: 'x'"),
         ({"z": "m"}, KeyError, "z"),
         ({"x": 1}, TypeError, "units"),
     ]:
-        with pytest.raises(error, match=said):
+        with pytest.raises(error, match=expected):
             fitted(columns, units=units)
 
 
@@ -72,8 +72,8 @@ def test_few_noisy_rows_give_no_findings() -> None:
     off = pydfo.Calibration(
         pydfo.example_fmu("dahlquist"), {"time": rows, "x": np.array([2.3, 3.3, 2.1, 3.0, 2.3])}, ["x"], [pydfo.Parameter("k", 1, 0.5, 5)]
     ).fit()
-    [said] = [finding for finding in off.findings if finding.id == "F011"]
-    assert said.severity == "warning" and "In 5 rows this may be chance" in said.sentence and off.usable
+    [finding] = [finding for finding in off.findings if finding.id == "F011"]
+    assert finding.severity == "warning" and "In 5 rows this may be chance" in finding.sentence and off.usable
 
 
 def test_start_values_are_read_from_parameter_set(tmp_path: Path) -> None:
@@ -107,8 +107,8 @@ def test_dates_get_no_unit_advice() -> None:
             "texts": [str(np.datetime64("2025-01-14T06:00:00") + np.timedelta64(int(s), "s")) for s in seconds],
         }.items()
     }
-    said = {name: [finding.remedy for finding in found if "time [" in finding.remedy] for name, found in check.items()}
-    assert said["numbers"] and not said["dates"] and not said["texts"], check
+    remedies = {name: [finding.remedy for finding in found if "time [" in finding.remedy] for name, found in check.items()}
+    assert remedies["numbers"] and not remedies["dates"] and not remedies["texts"], check
 
 
 def test_delay_of_several_outputs_is_rejected() -> None:

@@ -22,11 +22,11 @@ OF_LMFIT = {
 }  # fmt: skip
 
 
-def fit_of(x: Parameter, data: Any = None, **own: Any) -> pydfo.Fit:
+def fit_of(x: Parameter, data: Any = None, **options: Any) -> pydfo.Fit:
     data = {"time": T, "x": Y} if data is None else data
-    own = own or {"sigma": 0.02}
+    options = options or {"sigma": 0.02}
     return Calibration(
-        example_fmu("dahlquist"), data, "x", [Parameter("k", 1, 0.1, 9), x], relative_tolerance=1e-10, **own
+        example_fmu("dahlquist"), data, "x", [Parameter("k", 1, 0.1, 9), x], relative_tolerance=1e-10, **options
     ).fit(x_tol=1e-9, f_tol=1e-12)
 
 
@@ -37,13 +37,13 @@ FIXED = Parameter("x", 1.5, 0.1, 9, fixed=True)
 @pytest.mark.parametrize("name", ["free", "fixed"])
 def test_goodness_has_the_values_of_lmfit(name: str) -> None:
     x = {"free": FREE, "fixed": FIXED}[name]
-    for own in ({"sigma": 0.02}, {"weights": {"x": 50.0}}):
-        fit = fit_of(x, **own)
+    for options in ({"sigma": 0.02}, {"weights": {"x": 50.0}}):
+        fit = fit_of(x, **options)
         for key, value in OF_LMFIT[name].items():
             assert getattr(fit.goodness, key) == pytest.approx(value, rel=1e-6), key
         assert (fit.chisqr, fit.redchi, fit.aic, fit.bic) == (*fit.goodness[3:6], fit.goodness.bic)
         assert fit.goodness.aicc == pytest.approx(fit.aic + {"free": 12 / 9, "fixed": 4 / 10}[name], rel=1e-9)
-        assert (fit.goodness.p_value is None) == ("weights" in own)
+        assert (fit.goodness.p_value is None) == ("weights" in options)
         assert fit.to_dict()["goodness"]["redchi"] == fit.redchi
 
 

@@ -42,8 +42,8 @@ def test_results_are_identical_in_all_isolation_modes(tmp_path):
     one, other = FMUModel(fmu), FMUModel(fmu)
     for model in (one, other):
         model.set("k", 0.5)
-    asked = {"final_time": 2, "start_values": {"x": 3.0}, "outputs": ["x", "y"], "record_events": True}
-    assert same_bits(one.simulate(**asked), other.simulate(isolation="process", **asked))
+    arguments = {"final_time": 2, "start_values": {"x": 3.0}, "outputs": ["x", "y"], "record_events": True}
+    assert same_bits(one.simulate(**arguments), other.simulate(isolation="process", **arguments))
 
 
 #: Faults for k above 2.2, with their messages.
@@ -266,18 +266,18 @@ def test_sandbox_confines_simulations_and_fits(tmp_path):
     fault = f'if (fopen("{outside}", "w") || socket(AF_INET, SOCK_DGRAM, 0) >= 0 || !fopen("{inside}", "r") || fopen("{inside}", "a")) exit(7)'
     fmu = evil(tmp_path / "writes.fmu", "FAULT_ABOVE=2.2", f"FAULT={fault}")
     sound, model = FMUModel(evil(tmp_path / "sound.fmu")), FMUModel(fmu)
-    asked = {"final_time": 1, "start_values": {"k": 3.0}}
+    arguments = {"final_time": 1, "start_values": {"k": 3.0}}
     with pytest.raises(pydfo.SimulationError, match=r"exit\(7\)"):
-        model.simulate(isolation="process", **asked)
+        model.simulate(isolation="process", **arguments)
     assert outside.exists()
     outside.unlink()
     for more in ({}, {"isolation": "process"}):
-        assert same_bits(model.simulate(sandbox=True, **more, **asked), sound.simulate(**asked))
+        assert same_bits(model.simulate(sandbox=True, **more, **arguments), sound.simulate(**arguments))
     assert decay(fmu, sandbox=True).cost([3.0]) == decay(tmp_path / "sound.fmu").cost([3.0])
     assert not outside.exists() and inside.read_text() == "kept"
     # A process with a sandbox does not simulate the model without a sandbox.
     with pytest.raises(pydfo.SimulationError, match=r"exit\(7\)"):
-        model.simulate(isolation="process", **asked)
+        model.simulate(isolation="process", **arguments)
 
 
 def test_sandbox_without_isolation_is_an_error(tmp_path):

@@ -197,9 +197,9 @@ def test_changed_number_of_residuals_is_an_error(how):
         (["a"], "one-dimensional array of numbers"),
     ],
 )
-def test_non_vector_residuals_are_an_error(returned, said):
+def test_non_vector_residuals_are_an_error(returned, expected):
     for how in [{}, {"on_error": "fail"}, {"workers": 2}, {"workers": map}]:
-        with pytest.raises(TypeError, match=said):
+        with pytest.raises(TypeError, match=expected):
             least_squares(lambda x: returned, [1.0], **how)
 
 
@@ -218,8 +218,8 @@ def test_non_vector_residuals_are_an_error(returned, said):
         ({"bounds": [(0, 1)]}, ValueError, "expected 3 pairs, one per parameter; got 1"),
     ],
 )
-def test_bad_arguments_are_rejected(how, error, said):
-    with pytest.raises(error, match=said):
+def test_bad_arguments_are_rejected(how, error, expected):
+    with pytest.raises(error, match=expected):
         least_squares(**{"fun": decay, "x0": START, **how})
 
 

@@ -278,8 +278,8 @@ def test_sizes_scales_and_warm_starts_are_options():
 
     res = minimize(cost, [1.0, 0.0], bounds=[(1e-3, 1e6), (None, None)], options={"scale": ["log", "linear"], "nominal": [1, 1e-6]})
     np.testing.assert_allclose(res.x, [1e3, 2e-6], rtol=1e-4)
-    for known in (res, res.trace, (res.trace.x, res.trace.fun)):
-        more = minimize(cost, [1.0, 0.0], bounds=[(1e-3, 1e6), (None, None)], options={"warm_start": known})
+    for earlier in (res, res.trace, (res.trace.x, res.trace.fun)):
+        more = minimize(cost, [1.0, 0.0], bounds=[(1e-3, 1e6), (None, None)], options={"warm_start": earlier})
         assert more.fun <= res.fun and more.trace.x[0].tolist() != [1.0, 0.0]
     limited = minimize(rosenbrock, [-1.2, 1.0], options={"trace_limit": 10})
     assert len(limited.trace) == 10 and limited.trace.n_dropped == limited.nfev - 10
@@ -407,10 +407,10 @@ def test_given_first_population_is_evaluated_first_with_any_workers(method):
     ],
     ids=lambda v: str(v)[:60] if isinstance(v, dict) else "",
 )
-def test_bad_arguments_are_explained_before_the_run(changes, error, said):
+def test_bad_arguments_are_explained_before_the_run(changes, error, expected):
     func = Recorder(rosenbrock)
     arguments = {"fun": func, "x0": [0.5, 0.5], "bounds": [(-2, 2), (-2, 2)], **changes}
-    with pytest.raises(error, match=said):
+    with pytest.raises(error, match=expected):
         minimize(**arguments)
     assert func.values == []
 

@@ -267,14 +267,14 @@ def test_checkpoint_depends_on_input_derivatives(tmp_path):
     t = np.linspace(0.0, 2.0, 9)
     data = {"time": t, "u": 0.3 * t, "y": 0.6 * (t - 0.5 * (1.0 - np.exp(-2.0 * t)))}
 
-    def calibration(told):
+    def calibration(input_derivatives):
         return Calibration(
             example_fmu("switched_input", kind="CS"),
             data,
             ["y"],
             Parameter("T", 0.4, 0.1, 1.0),
             inputs=["u"],
-            input_derivatives=told,
+            input_derivatives=input_derivatives,
         )
 
     assert calibration(True).cost([0.5]) < 1e-9 < calibration(False).cost([0.5])
@@ -323,8 +323,8 @@ def test_input_without_column_is_named(switched, tmp_path):
     path.write_text("time,U,other,enabled\n0,0,7,1\n2,0.6,9,1\n")
     table = {"time": [0.0, 2.0], "u": [0.0, 0.6], "enabled": [True, True]}
     expected = switched.simulate(0, 2, inputs=table, outputs=["x"])
-    said = r"input 'gear' has no column and keeps its start value \d+ \[F054 .*\]. Assign one of the columns 'U', 'other', 'enabled'"
-    with pytest.warns(CalibrationWarning, match=said):
+    message = r"input 'gear' has no column and keeps its start value \d+ \[F054 .*\]. Assign one of the columns 'U', 'other', 'enabled'"
+    with pytest.warns(CalibrationWarning, match=message):
         found = switched.simulate(0, 2, inputs=path, outputs=["x"])
     assert np.array_equal(found["x"], expected["x"])
     with warnings.catch_warnings():
@@ -357,8 +357,8 @@ def test_steps_caused_by_input_rows_are_logged(caplog, tmp_path):
     for derivatives in (True, False):
         res = model.simulate(0, 2, times=[0, 2], step_size=0.5, inputs={"time": times, "u": np.sin(9 * times)}, input_derivatives=derivatives)
         assert res.stats.accepted_steps == 100
-    said = [record.getMessage() for record in caplog.records if "communication points" in record.getMessage()]
-    assert len(said) == 1 and "99 times" in said[0] and "step 0.5" in said[0]
+    messages = [record.getMessage() for record in caplog.records if "communication points" in record.getMessage()]
+    assert len(messages) == 1 and "99 times" in messages[0] and "step 0.5" in messages[0]
 
 
 GAINS = {"time": [0.0, 1.0], "K": [3.0, -1.0]}

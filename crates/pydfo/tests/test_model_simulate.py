@@ -312,9 +312,9 @@ def test_threads_simulate_concurrently():
     results = {}
 
     def run(k):
-        own = FMUModel(path)
+        separate = FMUModel(path)
         for _ in range(5):
-            results[k, _] = own.simulate(final_time=40)
+            results[k, _] = separate.simulate(final_time=40)
 
     threads = [threading.Thread(target=run, args=(k,)) for k in range(4)]
     for thread in threads:
@@ -516,8 +516,8 @@ def test_rows_between_fixed_steps_are_interpolated_or_rejected(caplog, tmp_path)
     # x' = 1 in steps of 0.1; between the steps, the model keeps the value of the last one.
     for size in (None, 0.1):
         assert model.simulate(0, 1, times=times, step_size=size)["x"] == pytest.approx(times, abs=1e-14)
-    said = [record.getMessage() for record in caplog.records if "interpolated" in record.getMessage()]
-    assert len(said) == 1 and "t = 0.25" in said[0] and "0.2 and 0.3" in said[0]
+    messages = [record.getMessage() for record in caplog.records if "interpolated" in record.getMessage()]
+    assert len(messages) == 1 and "t = 0.25" in messages[0] and "0.2 and 0.3" in messages[0]
     with pytest.raises(ValueError, match="t = 0.25 is between two communication points"):
         model.simulate(0, 1, times=times, between_steps="error")
     with pytest.raises(ValueError, match="between_steps = 'no' is invalid; expected one of: 'interpolate', 'error'"):

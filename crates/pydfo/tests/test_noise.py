@@ -15,9 +15,9 @@ from pydfo import Calibration, Normal, Parameter, example_fmu
 T = np.arange(51) / 10
 
 
-def decay(noise: float, prior: Normal, start: float = 1.0, **own: Any) -> Calibration:
+def decay(noise: float, prior: Normal, start: float = 1.0, **options: Any) -> Calibration:
     x = np.exp(-2.0 * T) + noise * np.random.default_rng(7).standard_normal(51)
-    return Calibration(example_fmu("dahlquist"), {"time": T, "x": x}, "x", [Parameter("k", start, 0.01, 50, prior=prior)], **own)
+    return Calibration(example_fmu("dahlquist"), {"time": T, "x": x}, "x", [Parameter("k", start, 0.01, 50, prior=prior)], **options)
 
 
 @pytest.mark.parametrize("start", [0.05, 1.0, 20.0])
@@ -75,8 +75,8 @@ def test_known_sigma_gives_the_standard_errors_of_curve_fit(tmp_path: Path) -> N
 
 
 def test_sigma_reports_wrong_arguments() -> None:
-    def build(**own: Any) -> Calibration:
-        return Calibration(example_fmu("dahlquist"), {"time": T, "x": np.exp(-T)}, "x", [Parameter("k", 2, 0, 9)], **own)
+    def build(**options: Any) -> Calibration:
+        return Calibration(example_fmu("dahlquist"), {"time": T, "x": np.exp(-T)}, "x", [Parameter("k", 2, 0, 9)], **options)
 
     with pytest.raises(ValueError, match="sigma: unknown output 'y'; expected one of: x"):
         build(sigma={"y": 1.0})

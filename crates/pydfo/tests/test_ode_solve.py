@@ -570,10 +570,10 @@ def test_sparse_jacobians_stay_sparse(method):
     n = 50_000
     rates = np.linspace(1.0, 1e4, n)
     jacobian = sparse.diags([-rates, 0.1 * np.ones(n - 1)], [0, 1]).tocsr()
-    asked = []
+    jacobian_times = []
 
     def jac(t, y):
-        asked.append(t)
+        jacobian_times.append(t)
         return jacobian
 
     given = [{"jac_sparsity": abs(jacobian)}, {"jac": jacobian}, {"jac": jac, "jac_sparsity": jacobian}]
@@ -582,7 +582,7 @@ def test_sparse_jacobians_stay_sparse(method):
         res = ode.solve(lambda t, y: jacobian @ y, (0, 1e-3), np.ones(n), method, t_eval=[1e-3], rtol=1e-4, **more)
         assert res.success, res.message
         ends.append(res.y[:, -1])
-    assert asked
+    assert jacobian_times
     for end in ends:
         assert end == pytest.approx(ends[1], rel=1e-3)
     assert ends[1][-1] == pytest.approx(math.exp(-10.0), rel=0.1)

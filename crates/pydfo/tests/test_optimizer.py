@@ -41,20 +41,20 @@ def test_any_order_and_grouping_gives_the_run_of_minimize(method, k):
 def test_optimizer_resumes_from_checkpoint_at_any_point(method, tmp_path):
     chance = random.Random(method)
     run = {**RUN, "max_evaluations": 200, "checkpoint": tmp_path / "run", "options": {"trace_limit": 150}}
-    told = 0
+    n_told = 0
     while True:
         opt = Optimizer(method, **run)
         left = chance.randrange(1, 40)
         while not opt.done and left > 0:
             ids, points, _ = opt.ask(min(left, 7))
             opt.tell(ids[::-1], [rosenbrock(x) for x in points[::-1]])
-            left, told = left - len(ids), told + len(ids)
+            left, n_told = left - len(ids), n_told + len(ids)
         if opt.done:
             break
         opt.save()
     run["checkpoint"] = None
     assert timeless(opt.report()) == timeless(minimize(rosenbrock, **run, method=method))
-    assert told == opt.report().nfev and len(opt.report().trace) == min(told, 150)
+    assert n_told == opt.report().nfev and len(opt.report().trace) == min(n_told, 150)
 
 
 def test_none_nan_and_exceptions_mean_failed():
@@ -106,9 +106,9 @@ def test_stopping_above_cutoff_does_not_change_decisions(method):
     while not opt.done:
         ids, points, cutoffs = opt.ask()
         costs = [rosenbrock(x) for x in points]
-        told = [pydfo.Above(c) if f > c else f for f, c in zip(costs, cutoffs)]
-        given_up += sum(isinstance(t, pydfo.Above) for t in told)
-        opt.tell(ids, told)
+        outcomes = [pydfo.Above(c) if f > c else f for f, c in zip(costs, cutoffs)]
+        given_up += sum(isinstance(t, pydfo.Above) for t in outcomes)
+        opt.tell(ids, outcomes)
     driven, report = minimize(rosenbrock, **run, method=method), opt.report()
     assert report.trace.x.tobytes() == driven.trace.x.tobytes()
     assert (report.x.tobytes(), report.fun, report.nit) == (driven.x.tobytes(), driven.fun, driven.nit)

@@ -205,9 +205,9 @@ def test_nan_outputs_are_recorded_but_fail_a_fit(tmp_path):
     t = np.linspace(0, 1, 11)
     measured = np.exp(-1.5 * t) + 5 * np.exp(-t)
     calibration = Calibration(path, {"time": t, "y": measured}, {"sum": "y"}, [Parameter("k[1]", 1.0, 0.5, 10.0)])
-    said = "the residual of 'sum' is not finite"
-    with pytest.raises(SimulationError, match=said):
+    expected = "the residual of 'sum' is not finite"
+    with pytest.raises(SimulationError, match=expected):
         calibration.cost([3.0])
     fit = calibration.fit(method="de", max_evaluations=500, rng=1)
-    assert fit.nfail > 50 and fit.failures == {said: fit.nfail}
+    assert fit.nfail > 50 and fit.failures == {expected: fit.nfail}
     assert abs(fit.x[0] - 1.5) < 1e-4 and np.isnan(fit.trace.fun).sum() >= fit.nfail

@@ -92,13 +92,13 @@ def executed(code: str, names: dict[str, object], place: str, line: int) -> None
 def compared(code: str, names: dict[str, object], place: str, line: int) -> None:
     """Runs a session and compares what it prints."""
     session = doctest.DocTestParser().get_doctest(code, names, place, place, line - 1)
-    said = io.StringIO()
+    output = io.StringIO()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        result = doctest.DocTestRunner(optionflags=OPTIONS).run(session, out=said.write, clear_globs=False)
+        result = doctest.DocTestRunner(optionflags=OPTIONS).run(session, out=output.write, clear_globs=False)
     # The runner works on the dict of the session, a copy.
     names.update(session.globs)
-    assert result.failed == 0, said.getvalue()
+    assert result.failed == 0, output.getvalue()
 
 
 def run_commands(code: str, place: str) -> None:
@@ -109,10 +109,10 @@ def run_commands(code: str, place: str) -> None:
             more, _, shown = shown.partition("\n")
             command = command[:-1] + more.strip()
         done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False, timeout=120)
-        said = done.stdout + done.stderr
-        assert (done.returncode == 0) or "error:" in shown, f"{place}: {command}: {done.returncode}\n{said}"
+        output = done.stdout + done.stderr
+        assert (done.returncode == 0) or "error:" in shown, f"{place}: {command}: {done.returncode}\n{output}"
         if shown.strip():
-            assert doctest.OutputChecker().check_output(shown, said, OPTIONS), f"{place}: {command}: said\n{said}\nnot\n{shown}"
+            assert doctest.OutputChecker().check_output(shown, output, OPTIONS), f"{place}: {command}: printed\n{output}\nnot\n{shown}"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

@@ -18,9 +18,9 @@ T = np.arange(21) * 0.1
 K = Parameter("k", 1.0, 0.1, 10.0)
 
 
-def decay(x: Any, **own: Any) -> Experiment:
+def decay(x: Any, **options: Any) -> Experiment:
     """Returns an experiment for x' = -k x with the given measurements."""
-    return Experiment({"time": T, "x": x}, ["x"], **own)
+    return Experiment({"time": T, "x": x}, ["x"], **options)
 
 
 def dahlquist(experiment: Experiment | list[Experiment], *parameters: Parameter) -> Calibration:
@@ -32,11 +32,11 @@ def u1(t: float) -> float:
     return 5.0 + 0.5 * math.sin(0.3 * t)
 
 
-def tank(parameters: Any, inputs: Any = None, **own: Any) -> Calibration:
+def tank(parameters: Any, inputs: Any = None, **options: Any) -> Calibration:
     t = np.arange(31.0)
     data = {"time": t, "u1": 5.0 + 0.5 * np.sin(0.3 * t), "u2": 5.0 + 0.0 * t, "x": 0.06 - 1e-4 * t}
     data["w"] = np.where(t < 10, 0.0, 1.0)
-    return Calibration(pydfo.example_fmu("quad_tank"), data, {"qt.x1": "x"}, parameters, inputs or {"u1": "u1", "u2": "u2"}, **own)
+    return Calibration(pydfo.example_fmu("quad_tank"), data, {"qt.x1": "x"}, parameters, inputs or {"u1": "u1", "u2": "u2"}, **options)
 
 
 A1 = Parameter("qt.a1", 3e-6, 2e-6, 4e-6)
@@ -79,8 +79,8 @@ def test_values_are_converted_from_user_units() -> None:
 def test_priors_are_residuals_excluded_from_rms() -> None:
     x = np.exp(-T)
     free = dahlquist(decay(x, weights={"x": 10.0}, start_values={"k": 1.0}), Parameter("x", 1.5, 0.1, 10.0))
-    known = Parameter("x", 1.5, 0.1, 10.0, prior=Normal(2.0, 0.1))
-    calibration = dahlquist(decay(x, weights={"x": 10.0}, start_values={"k": 1.0}), known)
+    with_prior = Parameter("x", 1.5, 0.1, 10.0, prior=Normal(2.0, 0.1))
+    calibration = dahlquist(decay(x, weights={"x": 10.0}, start_values={"k": 1.0}), with_prior)
     assert (calibration.n_residuals, calibration.n_measurements, free.n_residuals) == (22, 21, 21)
     fit = calibration.fit()
     e = np.exp(-T)
@@ -120,8 +120,8 @@ def test_delays_and_offsets_are_applied() -> None:
 
 
 def test_windows_weights_and_warm_up_select_measurements() -> None:
-    def n(**own: Any) -> int:
-        return tank([A1], **own).n_measurements
+    def n(**options: Any) -> int:
+        return tank([A1], **options).n_measurements
 
     assert n() == 31
     assert n(windows=[(0, 4), (10, 12.5)]) == 5 + 3
@@ -210,8 +210,8 @@ def test_checkpoint_depends_on_problem_features(tmp_path: Any) -> None:
             other.fit(checkpoint=path)
 
 
-def bad(**own: Any) -> Any:
-    return lambda: dahlquist(decay(np.exp(-T), **own), K)
+def bad(**options: Any) -> Any:
+    return lambda: dahlquist(decay(np.exp(-T), **options), K)
 
 
 def bad_parameter(*parameters: Any) -> Any:

@@ -104,13 +104,13 @@ def test_interrupt_contains_partial_profile(tmp_path):
 
 def test_mistakes_are_reported(tmp_path):
     fit = decay().fit()
-    for options, said in (
+    for options, expected in (
         ({"parameters": ["q"]}, "unknown parameter 'q'; expected one of: k, x"),
         ({"level": 95}, "between 0 and 1"),
         ({"max_points": 0}, "max_points = 0"),
         ({"workers": 0}, "workers = 0"),
     ):
-        with pytest.raises(ValueError, match=said):
+        with pytest.raises(ValueError, match=expected):
             fit.profile(**options)
     with pytest.raises(OSError):
         fit.profile(checkpoint=tmp_path)

@@ -63,6 +63,6 @@ def test_any_array_layout_and_type_is_accepted():
         (([0.0], [0.0], T, [Y, [1.0]]), TypeError, "y_sim must be numbers"),
     ],
 )
-def test_mismatched_arguments_are_named(arguments, error, said):
-    with pytest.raises(error, match=said):
+def test_mismatched_arguments_are_named(arguments, error, expected):
+    with pytest.raises(error, match=expected):
         dfo.quad_err(*arguments)

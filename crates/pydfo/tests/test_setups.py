@@ -354,8 +354,8 @@ def bowl(x):
         (lambda: pydfo.fmin(bowl, [0.0], plot="no"), "plot must be True or False, not 'no'"),
     ],
 )
-def test_foreign_keywords_are_explained(call, said):
-    with pytest.raises(TypeError, match=said):
+def test_foreign_keywords_are_explained(call, expected):
+    with pytest.raises(TypeError, match=expected):
         call()
 
 
@@ -376,12 +376,12 @@ def test_foreign_keywords_are_explained(call, said):
         (lambda c: c(data={"time": TIME, "Time [ms]": TIME, "x": DECAY}), "several columns may contain the times: 'time', 'Time"),
     ],
 )
-def test_contradictory_arguments_are_rejected(call, said):
+def test_contradictory_arguments_are_rejected(call, expected):
     def made(data=None, outputs=("x",), **more):
         data = {"time": TIME, "x": DECAY, "k": DECAY} if data is None else data
         return Calibration(example_fmu("dahlquist"), data, list(outputs), [K], **more)
 
-    with pytest.raises(ValueError, match=said):
+    with pytest.raises(ValueError, match=expected):
         call(made)
 
 
@@ -394,10 +394,10 @@ def test_contradictory_arguments_are_rejected(call, said):
         ("time,x\n0,1\n1,?\n", r"'\?' in column 'x', line 3, is not a number. Write missing values as empty cells, NaN"),
     ],
 )
-def test_files_of_other_tools_are_read_or_rejected(text, said, tmp_path):
+def test_files_of_other_tools_are_read_or_rejected(text, expected, tmp_path):
     path = tmp_path / "data.csv"
     path.write_text(text)
-    with pytest.raises(ValueError, match=said):
+    with pytest.raises(ValueError, match=expected):
         decay(path)
 
 
@@ -422,7 +422,7 @@ def test_settings_without_effect_cause_a_warning():
     with pytest.warns(UserWarning, match=step) as caught:
         FMUModel(example_fmu("dahlquist")).simulate(0, 1, solver="tsit5", step_size=0.1)
     assert caught[0].filename == __file__
-    for more, said in (
+    for more, expected in (
         ({"method": "rk4", "max_step": 0.1}, "max_step has no effect, because method 'rk4'"),
         ({"method": "euler", "first_step": 0.1}, "first_step has no effect, because method 'euler'"),
         ({"method": "tsit5", "step": 0.1}, "step has no effect, because method 'tsit5' selects its own steps"),
@@ -430,7 +430,7 @@ def test_settings_without_effect_cause_a_warning():
         ({"method": "tsit5", "jac_sparsity": [[1]]}, "jac_sparsity has no effect"),
         ({"on_event": lambda t, y, which: None}, "on_event has no effect without events"),
     ):
-        with pytest.warns(UserWarning, match=said) as caught:
+        with pytest.warns(UserWarning, match=expected) as caught:
             pydfo.ode.solve(line, (0, 1), [1.0], **more)
         assert caught[0].filename == __file__
     with warnings.catch_warnings():
@@ -508,10 +508,10 @@ def test_converted_columns_with_units_are_reported():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         calibration = Calibration(example_fmu("bouncing_ball"), ball, {"h": "h (in)"}, Parameter("g", -9, -12, -8))
-    said = "columns were converted from the units that they state: 'h (in)' from in to m"
+    expected = "columns were converted from the units that they state: 'h (in)' from in to m"
     fit = calibration.fit()
-    assert said in str(calibration.check()) and said in str(fit) and fit.x[0] == pytest.approx(-9.81, rel=1e-3)
-    assert [f.severity for f in fit.findings if said in f.sentence] == ["note"]
+    assert expected in str(calibration.check()) and expected in str(fit) and fit.x[0] == pytest.approx(-9.81, rel=1e-3)
+    assert [f.severity for f in fit.findings if expected in f.sentence] == ["note"]
 
 
 # --- Arguments of a wrong type or name --------------------------------------------------------------------------------
@@ -520,7 +520,7 @@ def test_converted_columns_with_units_are_reported():
 def test_errors_name_the_argument():
     calibration = decay({"time": TIME, "x": DECAY})
     fit = calibration.fit()
-    for call, said in [
+    for call, expected in [
         (lambda: calibration.fit(checkpoint=3), "checkpoint must be a path, not 3"),
         (lambda: fit.profile(checkpoint=3), "checkpoint must be a path, not 3"),
         (lambda: fit.save(3), "path must be a path, not 3"),
@@ -545,7 +545,7 @@ def test_errors_name_the_argument():
     ]:
         with pytest.raises((TypeError, ValueError)) as info:
             call()
-        assert said in str(info.value)
+        assert expected in str(info.value)
 
 
 def test_words_ignore_case_and_fit_reports_options():

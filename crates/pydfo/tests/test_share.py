@@ -333,9 +333,9 @@ def test_tied_parameters_and_display_names_are_exported(tmp_path):
     ]
     calibration = pydfo.Calibration(pydfo.example_fmu("dahlquist"), {"time": t, "x": x}, "x", parameters)
     fit = calibration.fit()
-    own, tied = fit.to_dict()["parameters"]
-    assert {p["name"]: p["value"] for p in (own, tied)} == fit.parameters
-    assert (tied["tied_to"], tied["standard_error"]) == ("k", 0.5 * own["standard_error"])
+    fitted, tied = fit.to_dict()["parameters"]
+    assert {p["name"]: p["value"] for p in (fitted, tied)} == fit.parameters
+    assert (tied["tied_to"], tied["standard_error"]) == ("k", 0.5 * fitted["standard_error"])
     fit.to_csv(tmp_path / "fit.csv")
     rows = list(csv.DictReader((tmp_path / "fit.csv").open(newline="")))
     assert [(row["name"], float(row["value"]), row["tied_to"]) for row in rows] == [("k", fit.x[0], ""), ("x", fit.x[0] / 2, "k")]

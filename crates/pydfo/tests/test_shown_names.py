@@ -43,9 +43,9 @@ def data(**columns):
         (data(), {"outputs": {"x": ODD}, "mask": f"no {ODD}"}),
     ],
 )
-def test_messages_escape_column_names(table, own):
+def test_messages_escape_column_names(table, options):
     with pytest.raises((ValueError, KeyError)) as error:
-        Calibration(example_fmu("dahlquist"), table, parameters=[K], **own)
+        Calibration(example_fmu("dahlquist"), table, parameters=[K], **options)
     assert_is_shown(str(error.value))
 
 

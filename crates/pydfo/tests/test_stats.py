@@ -103,23 +103,23 @@ def test_discrete_parameters_are_fitted_by_suitable_methods():
         calibration.fit(method="nelder-mead")
     held = Parameter("k", 2, 1, 5, kind="integer", fixed=True)
     assert Calibration(example_fmu("dahlquist"), data, outputs=["x"], parameters=[held]).fit().method == "least-squares"
-    for arguments, said in [
+    for arguments, expected in [
         ({"start": 1.5, "lower": 1, "upper": 8, "kind": "integer"}, "'k': is integer, so start 1.5 must be an integer"),
         ({"start": 1.5, "lower": 1.2, "upper": 1.8, "kind": "categorical"}, "its bounds 1.2 and 1.8 contain no integer"),
         ({"start": 1, "kind": "odd"}, "kind = 'odd' is invalid; expected one of: 'continuous', 'integer', 'categorical'"),
     ]:
-        with pytest.raises(ValueError, match=said):
+        with pytest.raises(ValueError, match=expected):
             Parameter("k", **arguments)
 
 
 def test_checkpoint_of_another_fit_is_rejected_with_reason(tmp_path):
     path = tmp_path / "run"
     bouncing().fit("nelder-mead", max_evaluations=5, checkpoint=path)
-    for other, said in [
+    for other, expected in [
         (bouncing(max_step=0.5), "max_step of the simulations: none in the file, 0.5 in this run"),
         (bouncing(window=(0.0, 1.0)), "windows of experiment 0: none in the file, 0.0, 1.0 in this run"),
     ]:
-        with pytest.raises(pydfo.CheckpointError, match=said):
+        with pytest.raises(pydfo.CheckpointError, match=expected):
             other.fit("nelder-mead", max_evaluations=5, checkpoint=path)
     with pytest.raises(pydfo.CheckpointError, match="option restarts: 20 in the file, 1 in this run"):
         bouncing().fit(max_evaluations=5, checkpoint=path, options={"restarts": 1})

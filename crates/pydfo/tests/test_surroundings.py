@@ -75,7 +75,7 @@ def test_simulation_uses_working_folder_of_the_caller(tmp_path, monkeypatch, mor
         assert final(FMUModel(fmu), "process") == pytest.approx(np.exp(-k), rel=1e-5)
 
 
-def test_model_keeps_own_folder_when_working_folder_is_removed(tmp_path, monkeypatch):
+def test_worker_folder_survives_removal_of_the_working_folder(tmp_path, monkeypatch):
     fmu = evil(tmp_path / "reads.fmu", FROM_FILE)
     (tmp_path / "gone").mkdir()
     monkeypatch.chdir(tmp_path / "gone")

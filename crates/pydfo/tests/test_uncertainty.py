@@ -53,7 +53,7 @@ def test_tank_errors_match_published_errors(n, sandwich, pooled):
         np.testing.assert_allclose(fit.uncertainty.uncorrected_stderr * 1e6, expected, atol=1e-4)
         assert (fit.stderr > 2 * fit.uncertainty.uncorrected_stderr).all()
         assert all(0.79 < check.autocorrelation < 0.93 for check in fit.uncertainty.residual_checks)
-    assert any("autocorrelated" in said for said in fit.uncertainty.verdict)
+    assert any("autocorrelated" in verdict for verdict in fit.uncertainty.verdict)
 
 
 def test_autocorrelation_is_corrected_unless_disabled(tmp_path):
@@ -139,6 +139,6 @@ def test_undriven_inputs_are_reported():
     recording = {"time": data["time"], "level": data["qt.x1"]}
     calibration = Calibration(example_fmu("quad_tank"), recording, {"qt.x1": "level"}, [Parameter("qt.a1", 3e-6, 2e-6, 4e-6)])
     fit = calibration.fit()
-    (said,) = [finding for finding in fit.findings if finding.subject == "input 'u1'"]
-    assert said.severity == "warning" and "warning  input 'u1': the input is not driven" in repr(fit)
+    (expected,) = [finding for finding in fit.findings if finding.subject == "input 'u1'"]
+    assert expected.severity == "warning" and "warning  input 'u1': the input is not driven" in repr(fit)
     assert "F054" not in fit.message and "F054" not in repr(calibration.fit(covariance=None))

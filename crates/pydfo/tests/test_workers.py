@@ -15,7 +15,7 @@ class Trap(Exception):
     pass
 
 
-def told(result):
+def summary(result):
     return result.x.tobytes(), result.fun, result.nfev, result.nit, result.nfail, result.termination
 
 
@@ -29,7 +29,7 @@ def test_result_is_identical_for_all_kinds_of_workers(method, budget):
         return np.array([patchy(point) for point in x.T])
 
     def run(fun, **more):
-        return told(pydfo.minimize(fun, [-0.5, 1.0], bounds=[(-2, 2)] * 2, method=method, rng=3, max_evaluations=budget, **more))
+        return summary(pydfo.minimize(fun, [-0.5, 1.0], bounds=[(-2, 2)] * 2, method=method, rng=3, max_evaluations=budget, **more))
 
     serial = run(patchy)
     for workers in (2, 3, 7, 16):
@@ -42,7 +42,7 @@ def test_result_is_identical_for_all_kinds_of_workers(method, budget):
 
 def test_result_is_identical_with_processes():
     def run(workers):
-        return told(pydfo.minimize(rosenbrock, [-1.2, 1.0], workers=workers, max_evaluations=100))
+        return summary(pydfo.minimize(rosenbrock, [-1.2, 1.0], workers=workers, max_evaluations=100))
 
     with concurrent.futures.ProcessPoolExecutor(2) as executor:
         assert run(executor.map) == run(1)
@@ -52,10 +52,10 @@ def test_result_is_identical_with_processes():
 @pytest.mark.parametrize("vectorized", [False, True])
 def test_exception_counts_when_path_reaches_it(plan, vectorized):
     path = pydfo.minimize(rosenbrock, [-1.2, 1.0], max_evaluations=60, method="nelder-mead")
-    known = {x.tobytes() for x in path.trace.x}
+    evaluated = {x.tobytes() for x in path.trace.x}
 
     def trap(x):
-        if x.tobytes() not in known:
+        if x.tobytes() not in evaluated:
             raise Trap(x)
         return rosenbrock(x)
 
@@ -66,7 +66,7 @@ def test_exception_counts_when_path_reaches_it(plan, vectorized):
         columns if vectorized else trap, [-1.2, 1.0], workers=4, max_evaluations=60, options={"batch": plan},
         vectorized=vectorized, method="nelder-mead",
     )  # fmt: skip
-    assert told(result) == told(path)
+    assert summary(result) == summary(path)
     with pytest.raises(Trap) as raised:
         pydfo.minimize(
             columns if vectorized else trap,
@@ -129,15 +129,15 @@ def test_warm_start_reuses_costs_of_the_same_problem():
         result = pydfo.minimize(fun, [-1.2, 1.0], options=options, max_evaluations=40)
         return result, {x.tobytes() for x in calls}
 
-    first, known = run("rosenbrock")
+    first, evaluated = run("rosenbrock")
     assert first.trace.problem == "rosenbrock"
-    warm, asked = run("rosenbrock", first)
-    assert not known & asked and warm.fun <= first.fun
+    warm, requested = run("rosenbrock", first)
+    assert not evaluated & requested and warm.fun <= first.fun
     for problem, start in [(None, first), ("other", first), ("rosenbrock", (first.trace.x, first.trace.fun))]:
-        again, asked = run(problem, start)
-        assert first.x.tobytes() in asked and again.n_cached == 0
-    _, asked = run("rosenbrock", (first.trace.x, first.trace.fun, "rosenbrock"))
-    assert not known & asked
+        again, requested = run(problem, start)
+        assert first.x.tobytes() in requested and again.n_cached == 0
+    _, requested = run("rosenbrock", (first.trace.x, first.trace.fun, "rosenbrock"))
+    assert not evaluated & requested
 
 
 def test_warm_start_with_other_data_reuses_only_points():

@@ -168,11 +168,11 @@ fn swapped(series: &[Series<'_>], subjects: &[ExperimentSubject<'_>]) -> Vec<Fin
             // Scale by the range so that outputs of different size have equal weight.
             let scale = |s: &Series<'_>| range(&s.of.measured).powi(2);
             let (of_a, of_b) = (scale(a), scale(b));
-            let own = off(a, a) / of_a + off(b, b) / of_b;
+            let paired = off(a, a) / of_a + off(b, b) / of_b;
             let crossed = off(a, b) / of_a + off(b, a) / of_b;
             if of_a > 0.0
                 && of_b > 0.0
-                && crossed < 0.1 * own
+                && crossed < 0.1 * paired
                 && off(a, b) < 0.5 * off(a, a)
                 && off(b, a) < 0.5 * off(b, b)
             {

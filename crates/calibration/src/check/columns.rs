@@ -19,8 +19,8 @@ pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
     let mut findings = Vec::new();
     for (variable, column) in experiment.outputs() {
         let Ok(values) = experiment.data.column(column) else { continue };
-        let known = || values.iter().copied().filter(|v| !v.is_nan());
-        let (n, (low, high)) = (known().count(), extent(known()));
+        let present = || values.iter().copied().filter(|v| !v.is_nan());
+        let (n, (low, high)) = (present().count(), extent(present()));
         if n > 2 && low == high {
             findings.push(Finding::warning(
                 FindingId::ConstantColumn,
@@ -64,13 +64,13 @@ fn extent(values: impl Iterator<Item = f64>) -> (f64, f64) {
 
 /// Returns a placeholder value far outside the other values, its count, and the range of the other values.
 fn placeholder(values: &[f64]) -> Option<(f64, usize, (f64, f64))> {
-    let known = || values.iter().copied().filter(|v| !v.is_nan());
-    let (lowest, highest) = extent(known());
+    let present = || values.iter().copied().filter(|v| !v.is_nan());
+    let (lowest, highest) = extent(present());
     [highest, lowest].into_iter().filter(|value| PLACEHOLDERS.contains(&value.abs())).find_map(|value| {
-        let n = known().filter(|v| *v == value).count();
-        let (low, high) = extent(known().filter(|v| *v != value));
+        let n = present().filter(|v| *v == value).count();
+        let (low, high) = extent(present().filter(|v| *v != value));
         let is_outside = (value - high).max(low - value) > OUTSIDE * (high - low);
-        (2 * n < known().count() && high > low && is_outside).then_some((value, n, (low, high)))
+        (2 * n < present().count() && high > low && is_outside).then_some((value, n, (low, high)))
     })
 }
 

@@ -35,7 +35,7 @@ impl ExperimentSubject<'_> {
     /// declares no unit or an unknown one.
     pub(super) fn example_unit(&self, variable: &str) -> Option<String> {
         let variable = declared(self.description, variable)?;
-        let own = variable.unit.as_deref()?;
+        let unit_of_variable = variable.unit.as_deref()?;
         let is_other = |unit: &String| {
             UnitConversion::to_variable(unit, variable, self.description).is_ok_and(|c| !c.is_identity())
         };

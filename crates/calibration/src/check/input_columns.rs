@@ -61,7 +61,7 @@ pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
             warn(
                 FindingId::SharedColumn,
                 format!(
-                    "the column is also compared with the output '{output}'. One of both is probably wrong"
+                    "the column is also compared with the output '{output}'. One of the two is probably wrong"
                 ),
                 "Check both column names",
             );
@@ -91,8 +91,8 @@ pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
 /// Returns the variable of an input and the rows of its column with a value, if there are at least three.
 fn driving<'s>(subject: &ExperimentSubject<'s>, input: &str, column: &str) -> Option<(&'s Variable, Rows)> {
     let data = &subject.experiment.data;
-    let known = data.time().iter().zip(data.column(column).ok()?).filter(|(_, v)| !v.is_nan());
-    let (times, values): (Vec<f64>, Vec<f64>) = known.unzip();
+    let rows = data.time().iter().zip(data.column(column).ok()?).filter(|(_, v)| !v.is_nan());
+    let (times, values): (Vec<f64>, Vec<f64>) = rows.unzip();
     let variable = declared(subject.description, input)?;
     (values.len() >= 3).then_some((variable, Rows { times, values }))
 }
@@ -150,17 +150,17 @@ impl Rows {
     /// Returns a finding if an input is always zero. It may be intended if the model's own value is also
     /// zero.
     fn all_zero(&self, name: &str, variable: &Variable) -> Option<Finding> {
-        let own = match variable.start {
-            Some(fmi::Value::Real(own)) => own,
+        let start = match variable.start {
+            Some(fmi::Value::Real(start)) => start,
             _ => 0.0,
         };
-        let (severity, beside) = match own {
+        let (severity, beside) = match start {
             0.0 => (Severity::Note, ". The input has no effect".to_owned()),
-            own => (
+            start => (
                 Severity::Warning,
                 format!(
                     ", but the start value in the model is {}. The simulation lacks the effect of the input",
-                    Number(rounded(own))
+                    Number(rounded(start))
                 ),
             ),
         };

@@ -61,16 +61,19 @@ impl Calibration {
         let mut findings = model::construction_warnings(self.warnings());
         findings.extend(self.findings_of_description_and_data(&subjects, &self.start()));
         findings.extend(model::unstated_noise(self.problem()));
-        let mut is_start_known = false;
+        let mut is_start_simulated = false;
         let simulated = match options.simulate {
-            true => {
-                self.findings_of_simulations(&subjects, &mut is_start_known, &mut findings, &mut evaluations)
-            }
+            true => self.findings_of_simulations(
+                &subjects,
+                &mut is_start_simulated,
+                &mut findings,
+                &mut evaluations,
+            ),
             false => Ok(()),
         };
         match simulated {
             Err(CalibrationError::Cancelled) if !context.is_over() => {
-                findings.push(options.out_of_time(is_start_known))
+                findings.push(options.out_of_time(is_start_simulated))
             }
             other => other?,
         }
@@ -82,7 +85,7 @@ impl Calibration {
     fn findings_of_simulations(
         &self,
         subjects: &[ExperimentSubject<'_>],
-        is_start_known: &mut bool,
+        is_start_simulated: &mut bool,
         findings: &mut Vec<Finding>,
         evaluations: &mut Evaluations<'_>,
     ) -> Result<(), CalibrationError> {
@@ -101,7 +104,7 @@ impl Calibration {
                 return Ok(());
             }
         };
-        *is_start_known = true;
+        *is_start_simulated = true;
         findings.extend(self.ineffective_start_values(subjects));
         findings.extend(at_start::findings(subjects, &Outputs::new(self, &start, None)));
         findings.extend(settings::large_step(self, &start, Place::Start, evaluations)?);
@@ -187,7 +190,7 @@ impl Calibration {
     ) -> Vec<Finding> {
         let (parameters, description) = (self.parameters(), self.fmu().description());
         let mut findings = parameters::ranges(parameters, description);
-        findings.extend(parameters::far_from_own_start(parameters, x, description));
+        findings.extend(parameters::far_from_model_start(parameters, x, description));
         findings.extend(settings::many_steps(self));
         for subject in subjects {
             findings.extend(model::inputs(subject));

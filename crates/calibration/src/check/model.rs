@@ -40,9 +40,9 @@ pub(super) fn start_values(
 pub(crate) fn unstated_noise(problem: &Problem) -> Option<Finding> {
     let fitted = problem.experiments.iter().flat_map(|e| &e.initial_states).filter_map(|(state, initial)| {
         let InitialState::Fitted(parameter) = initial else { return None };
-        parameter.known_prior().map(|_| state.as_str())
+        parameter.stated_prior().map(|_| state.as_str())
     });
-    let named = problem.parameters.iter().filter(|p| p.known_prior().is_some()).map(|p| p.name());
+    let named = problem.parameters.iter().filter(|p| p.stated_prior().is_some()).map(|p| p.name());
     let with_prior: Vec<&str> = named.chain(fitted).collect();
     let outputs = problem.experiments.iter().flat_map(|experiment| &experiment.outputs);
     let unstated = outputs.filter(|output| !output.weight.states_noise());

@@ -23,9 +23,9 @@ impl Default for CheckOptions {
 
 impl CheckOptions {
     /// Returns the finding that the time limit ended the check.
-    pub(super) fn out_of_time(&self, is_start_known: bool) -> Finding {
+    pub(super) fn out_of_time(&self, is_start_simulated: bool) -> Finding {
         let limit = Number(self.max_time.unwrap_or_default().as_secs_f64());
-        let until = match is_start_known {
+        let until = match is_start_simulated {
             true => "before the last simulation",
             false => "during the simulation at the start values",
         };

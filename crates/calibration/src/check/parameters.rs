@@ -21,7 +21,7 @@ const KELVIN: (f64, f64) = (200.0, 150.0);
 
 /// Returns the start value that the model declares for a variable if it indicates its size: finite and not
 /// zero.
-fn own_start(variable: &Variable) -> Option<f64> {
+fn start_of_model(variable: &Variable) -> Option<f64> {
     match variable.start {
         Some(Value::Real(start)) if start != 0.0 && start.is_finite() => Some(start),
         _ => None,
@@ -42,7 +42,7 @@ fn conversion(parameter: &Parameter, variable: &Variable, description: &ModelDes
 
 /// Returns findings about parameters whose start and value are far from the model's own start values. The
 /// most likely cause is a different unit.
-pub(super) fn far_from_own_start(
+pub(super) fn far_from_model_start(
     parameters: &[Parameter],
     values: &[f64],
     description: &ModelDescription,
@@ -50,15 +50,15 @@ pub(super) fn far_from_own_start(
     let of = |(parameter, value): (&Parameter, &f64)| {
         let first = parameter.variable_names().first().filter(|_| !parameter.is_tied())?;
         let variable = declared(description, first)?;
-        let own = conversion(parameter, variable, description).invert(own_start(variable)?);
+        let start_value = conversion(parameter, variable, description).invert(start_of_model(variable)?);
         let start = parameter.start();
-        let is_far = |value: f64| value * own > 0.0 && factor(value, own) >= UNLIKE;
+        let is_far = |value: f64| value * start_value > 0.0 && factor(value, start_value) >= UNLIKE;
         (is_far(*value) && is_far(start)).then(|| {
             let sentence = format!(
                 "start {} is {} times the start value {} of the model. The unit is probably wrong",
                 Number(start),
-                Number(rounded(start / own)),
-                Number(rounded(own))
+                Number(rounded(start / start_value)),
+                Number(rounded(start_value))
             );
             let remedy =
                 "Check the unit, and state it with Parameter(..., unit=...) if it differs from the model";
@@ -89,11 +89,14 @@ pub(super) fn beside_the_model(variable: &Variable, given: GivenRange) -> Option
         let bounds = bounds.into_iter().filter_map(|(word, limit)| Some(format!("{word}{}", Number(limit?))));
         return Some(format!("the range of the model is {}", bounds.collect::<Vec<_>>().join(" and ")));
     }
-    let own = own_start(variable)?;
-    let is_far = is_constant && highest != 0.0 && highest * own > 0.0 && factor(highest, own) >= UNLIKE;
-    let is_celsius = variable.unit.as_deref() == Some("K") && highest < KELVIN.1 && own > KELVIN.0;
+    let start_value = start_of_model(variable)?;
+    let is_far = is_constant
+        && highest != 0.0
+        && highest * start_value > 0.0
+        && factor(highest, start_value) >= UNLIKE;
+    let is_celsius = variable.unit.as_deref() == Some("K") && highest < KELVIN.1 && start_value > KELVIN.0;
     let hint = if is_celsius { ", as with degC instead of K" } else { "" };
-    (is_far || is_celsius).then(|| format!("the start value of the model is {}{hint}", Number(own)))
+    (is_far || is_celsius).then(|| format!("the start value of the model is {}{hint}", Number(start_value)))
 }
 
 /// Returns findings about start values and constant inputs of an experiment. They are reported if they are
@@ -133,8 +136,8 @@ pub(super) fn ranges(parameters: &[Parameter], description: &ModelDescription) -
         let first = parameter.variable_names().first();
         let Some(variable) = first.and_then(|name| declared(description, name)) else { continue };
         // Range of the model in the unit of the parameter.
-        let own = |value| conversion(parameter, variable, description).invert(value);
-        let (min, max) = (variable.min.map(own), variable.max.map(own));
+        let in_parameter_unit = |value| conversion(parameter, variable, description).invert(value);
+        let (min, max) = (variable.min.map(in_parameter_unit), variable.max.map(in_parameter_unit));
         let (low, high) = (min.unwrap_or(f64::NEG_INFINITY), max.unwrap_or(f64::INFINITY));
         let subject = format!("parameter '{}'", parameter.name());
         let range = match (min, max) {

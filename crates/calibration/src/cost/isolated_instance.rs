@@ -102,7 +102,7 @@ impl IsolatedInstance {
 
     fn close_within(&mut self, limit: Option<Duration>, context: &RunContext<'_>) {
         if let Place::Worker(process) = &self.place
-            && process.is_own()
+            && process.is_child()
         {
             let close = Job::Instance(InstanceCall::Close);
             if let Err(error) = self.ask(&close, &[], &mut Vec::new(), limit, context) {
@@ -126,7 +126,7 @@ impl IsolatedInstance {
         context: &RunContext<'_>,
     ) -> Result<InstanceAnswer, FmiError> {
         let Place::Worker(process) = &mut self.place else { return Err(FmiError::Freed(LOST)) };
-        if !process.is_own() {
+        if !process.is_child() {
             return Err(FmiError::Freed(FORKED));
         }
         let (requested, answer) = &mut self.frames;

@@ -231,11 +231,11 @@ fn layout(problem: &Problem, simulations: &[Simulation], elements: &[Element]) -
             residuals.experiment = k;
             residuals.variable = measured.variable.clone();
             residuals.column = measured.column.clone();
-            let is_own = |(state, initial): &(String, InitialState)| {
+            let belongs_to_output = |(state, initial): &(String, InitialState)| {
                 initial.measured_output(state) == Some(&*residuals.variable)
             };
             residuals.is_noise_known = experiment.outputs[residuals.output].weight.is_known_noise();
-            residuals.starts_simulation = experiment.initial_states.iter().any(is_own)
+            residuals.starts_simulation = experiment.initial_states.iter().any(belongs_to_output)
                 && residuals
                     .times
                     .first()
@@ -245,7 +245,7 @@ fn layout(problem: &Problem, simulations: &[Simulation], elements: &[Element]) -
     }
     // The prior of a fixed parameter has no effect.
     let free = elements.iter().map(|e| &e.parameter).enumerate().filter(|(_, p)| p.lower() < p.upper());
-    let priors = free.filter_map(|(i, p)| p.known_prior().map(|prior| (i, *prior)));
+    let priors = free.filter_map(|(i, p)| p.stated_prior().map(|prior| (i, *prior)));
     let n = layout.n_measurements();
     layout.priors = priors
         .zip(n..)

@@ -118,7 +118,7 @@ mod tests {
                 requested.set(requested.get() + 1);
                 requested.get() > 2
             };
-            let waited = map(100, workers, &RunContext::new().asking(&cancelled), &|_, context| {
+            let waited = map(100, workers, &RunContext::new().polling(&cancelled), &|_, context| {
                 while !context.is_over() {
                     std::thread::yield_now();
                 }

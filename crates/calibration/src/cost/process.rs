@@ -13,7 +13,7 @@ use base::RunContext;
 use dfo::{FailureKind, RobustLoss};
 use fmi::error::ReportedError;
 use fmi::worker::{
-    AnswerLimits, AskedProcess, Frame, FrameSize, Held, Isolation, Load, Question, Repeat, WorkerLimits,
+    AnswerLimits, Frame, FrameSize, Held, Isolation, Load, Question, Repeat, RequestedProcess, WorkerLimits,
     Workers, check_sandbox,
 };
 use fmi::{FmiError, Fmu, Reuse, Trajectory};
@@ -108,15 +108,15 @@ impl Processes {
         requested.set_head(job).map_err(unsaid)?;
         let reuse = self.fmu.reuse();
         let whom = match process {
-            _ if reuse == Reuse::NewProcess => Some(AskedProcess::FreshOnce),
-            ProcessChoice::Fresh => Some(AskedProcess::Fresh),
-            ProcessChoice::LongestIdle => Some(AskedProcess::LongestIdle),
+            _ if reuse == Reuse::NewProcess => Some(RequestedProcess::FreshOnce),
+            ProcessChoice::Fresh => Some(RequestedProcess::Fresh),
+            ProcessChoice::LongestIdle => Some(RequestedProcess::LongestIdle),
             ProcessChoice::ComparedFirst | ProcessChoice::Compared
                 if self.comparisons.is_due(reuse, process) =>
             {
                 None
             }
-            _ => Some(AskedProcess::Any),
+            _ => Some(RequestedProcess::Any),
         };
         requested.needs_new_instance =
             reuse != Reuse::Reset || (process == ProcessChoice::Any && !self.comparisons.has_passed(reuse));
@@ -145,7 +145,7 @@ impl Processes {
         }
         let (requested, mut answer) = (Frame::of(job).ok()?, Frame::default());
         let question = Question { requested: &requested, context, limits, is_repetition: false };
-        let whom = AskedProcess::FreshOnce;
+        let whom = RequestedProcess::FreshOnce;
         let called = self.workers.call(&self.logging, &question, &mut answer, &mut |_| Ok(()), whom, None);
         failure_of(called.map(|_| answer)).filter(|reported| !reported.log.is_empty())
     }
@@ -155,7 +155,7 @@ impl Processes {
         question: &Question<'_>,
         answer: &mut Frame,
         accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
-        whom: AskedProcess,
+        whom: RequestedProcess,
         repeat: Option<&mut Repeat<'_>>,
     ) -> Result<T, FmiError> {
         let called = self.workers.call(&self.load, question, answer, accept, whom, repeat);
@@ -178,33 +178,36 @@ impl Processes {
         let first = || self.comparisons.first.lock().unwrap_or_else(PoisonError::into_inner);
         let n_changes = self.workers.n_changes();
         let Ok(shape) = job.without_values() else {
-            return self.call(question, answer, accept, AskedProcess::Any, None);
+            return self.call(question, answer, accept, RequestedProcess::Any, None);
         };
-        let mut known = first().clone().filter(|first| first.n_changes == n_changes && first.shape == shape);
-        if let Some(known) = &mut known {
-            known.requested.needs_new_instance = question.requested.needs_new_instance;
+        let mut first_question =
+            first().clone().filter(|first| first.n_changes == n_changes && first.shape == shape);
+        if let Some(first_question) = &mut first_question {
+            first_question.requested.needs_new_instance = question.requested.needs_new_instance;
         }
-        let is_first = known.as_ref().is_some_and(|known| known.requested == *question.requested);
-        let mut repeat = known.as_ref().filter(|_| !is_first).map(|known| Repeat {
-            question: known.during(question),
+        let is_first = first_question
+            .as_ref()
+            .is_some_and(|first_question| first_question.requested == *question.requested);
+        let mut repeat = first_question.as_ref().filter(|_| !is_first).map(|first_question| Repeat {
+            question: first_question.during(question),
             answer: Frame::default(),
             outcome: None,
         });
-        let reported = self.call(question, answer, accept, AskedProcess::Any, repeat.as_mut());
-        let Some(own) = bits_of(&reported, answer, question) else { return reported };
+        let reported = self.call(question, answer, accept, RequestedProcess::Any, repeat.as_mut());
+        let Some(current_bits) = bits_of(&reported, answer, question) else { return reported };
         let again = match repeat {
             Some(Repeat { question, answer, outcome }) => {
                 outcome.and_then(|outcome| bits_of(&outcome, &answer, &question))
             }
-            None => Some(own.clone()),
+            None => Some(current_bits.clone()),
         };
-        let known = match known {
-            Some(known) => known,
+        let first_question = match first_question {
+            Some(first_question) => first_question,
             None => {
                 let (requested, limits) = (question.requested.clone(), question.limits);
                 let mut new = FirstQuestion { requested, limits, shape, n_changes, bits: Vec::new() };
-                let is_own = !answer.is_of_used_process;
-                let bits = if is_own { Some(own) } else { self.bits_in_fresh(&new, question) };
+                let is_fresh = !answer.is_of_used_process;
+                let bits = if is_fresh { Some(current_bits) } else { self.bits_in_fresh(&new, question) };
                 let Some(bits) = bits else { return reported };
                 new.bits = bits;
                 first().insert(new).clone()
@@ -217,15 +220,15 @@ impl Processes {
             // An answer that could not be compared does not count.
             return match question.context.is_over() {
                 true => Err(FmiError::Cancelled),
-                false => self.call(question, answer, accept, AskedProcess::Fresh, None),
+                false => self.call(question, answer, accept, RequestedProcess::Fresh, None),
             };
         };
-        if again == known.bits {
+        if again == first_question.bits {
             self.comparisons.note_passed(reuse);
             return reported;
         }
-        match self.bits_in_fresh(&known, question) {
-            Some(fresh) if fresh != known.bits => {
+        match self.bits_in_fresh(&first_question, question) {
+            Some(fresh) if fresh != first_question.bits => {
                 if !self.comparisons.is_random.swap(true, Ordering::Relaxed) {
                     log::warn!("{}: {NOT_REPRODUCED}", self.fmu.description().model_name);
                 }
@@ -233,13 +236,13 @@ impl Processes {
             // This also applies if the question was cancelled before the model could be found to be random.
             _ => self.give_up(reuse),
         }
-        self.call(question, answer, accept, AskedProcess::Fresh, None)
+        self.call(question, answer, accept, RequestedProcess::Fresh, None)
     }
 
     /// Returns the bits of a fresh process's answer to the first question, during another question.
     fn bits_in_fresh(&self, first: &FirstQuestion, during: &Question<'_>) -> Option<Vec<u64>> {
         let (question, mut answer) = (first.during(during), Frame::default());
-        let reported = self.call(&question, &mut answer, &mut |_| Ok(()), AskedProcess::FreshOnce, None);
+        let reported = self.call(&question, &mut answer, &mut |_| Ok(()), RequestedProcess::FreshOnce, None);
         bits_of(&reported, &answer, &question)
     }
 
@@ -355,8 +358,8 @@ impl Remote {
         let used = map(n, n, context, &|_, context| evaluate(ProcessChoice::LongestIdle, context));
         if let Some(fresh) = evaluate(ProcessChoice::Fresh, context) {
             let has_cost = best.cost.is_none_or(|cost| cost.to_bits() == fresh.0);
-            let has_residuals = best.residuals.as_ref().is_none_or(|known| {
-                known.iter().map(|residual| residual.to_bits()).eq(fresh.1.iter().copied())
+            let has_residuals = best.residuals.as_ref().is_none_or(|residuals| {
+                residuals.iter().map(|residual| residual.to_bits()).eq(fresh.1.iter().copied())
             });
             if !has_cost || !has_residuals || used.into_iter().flatten().flatten().any(|used| used != fresh) {
                 match evaluate(ProcessChoice::Fresh, context) {
@@ -442,11 +445,11 @@ impl Remote {
         };
         let is_alone = process == ProcessChoice::Compared;
         if !is_alone {
-            let mut known = self.processes.explained.lock().unwrap_or_else(PoisonError::into_inner);
-            if known.contains_key(reason) {
+            let mut explained = self.processes.explained.lock().unwrap_or_else(PoisonError::into_inner);
+            if explained.contains_key(reason) {
                 return failure;
             }
-            known.insert(reason.clone(), None);
+            explained.insert(reason.clone(), None);
         }
         let mut explained = None;
         let failure_of = |called: Result<Frame, FmiError>| {
@@ -463,8 +466,8 @@ impl Remote {
             (Some(reported), _) => {
                 let model = &self.processes.fmu.description().model_name;
                 log::warn!("{model}: {reason} without a message; {LOG_ON}: {}", reported.message);
-                let mut known = self.processes.explained.lock().unwrap_or_else(PoisonError::into_inner);
-                known.insert(reason.clone(), Some(reported.message));
+                let mut explained = self.processes.explained.lock().unwrap_or_else(PoisonError::into_inner);
+                explained.insert(reason.clone(), Some(reported.message));
                 failure
             }
             _ => failure,
@@ -473,8 +476,8 @@ impl Remote {
 
     /// Adds the message that the model logged about one of the failures to their reason.
     pub(crate) fn explain_reason(&self, reason: &mut String) {
-        let known = self.processes.explained.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(Some(message)) = known.get(reason) {
+        let explained = self.processes.explained.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(Some(message)) = explained.get(reason) {
             *reason = format!("{reason} ({LOG_ON}: {message})");
         }
     }

@@ -130,10 +130,10 @@ pub(super) fn trajectory_of(answer: &mut Frame) -> io::Result<Trajectory> {
     let mut columns = answer.numbers.chunks(rows.max(1));
     let mut column = || {
         let numbers = columns.next().unwrap_or_default();
-        let mut own = Vec::new();
-        own.try_reserve_exact(numbers.len()).map_err(|_| io::Error::from(io::ErrorKind::OutOfMemory))?;
-        own.extend_from_slice(numbers);
-        Ok::<_, io::Error>(own)
+        let mut copy = Vec::new();
+        copy.try_reserve_exact(numbers.len()).map_err(|_| io::Error::from(io::ErrorKind::OutOfMemory))?;
+        copy.extend_from_slice(numbers);
+        Ok::<_, io::Error>(copy)
     };
     trajectory.time = column()?;
     for values in &mut trajectory.columns {

@@ -77,7 +77,7 @@ impl Comparison {
             .min_by(|a, b| a.0.total_cmp(&b.0))
         {
             next[output] += 1;
-            if !times.last().is_some_and(|known| now - known <= rounding) {
+            if !times.last().is_some_and(|last| now - last <= rounding) {
                 times.push(now);
             }
             samples[output].push(u32::try_from(times.len() - 1).unwrap_or(u32::MAX));

@@ -6,7 +6,7 @@ use super::recording::{Column, Data, hex, mixed_decimal_signs};
 use super::time_column::{PairUnit, TimeColumn, find_column, time_unit};
 use super::units::Unit;
 use crate::error::CalibrationError;
-use crate::findings::shown_text::shortened;
+use crate::findings::display_text::shortened;
 use base::RunContext;
 use sha2::{Digest, Sha256};
 use std::borrow::Cow;
@@ -307,8 +307,8 @@ impl Column {
     /// a comma and with a point.
     fn note(&mut self, cell: &str, line: usize, delimiter: u8) -> f64 {
         let number = number(cell, delimiter);
-        let is_known = self.point.is_some() && (delimiter == b',' || self.comma.is_some());
-        if number.is_none() || !is_known {
+        let is_determined = self.point.is_some() && (delimiter == b',' || self.comma.is_some());
+        if number.is_none() || !is_determined {
             let first = match number {
                 None => &mut self.text,
                 Some(_) if cell.contains(',') => &mut self.comma,
@@ -525,7 +525,7 @@ mod tests {
                 "{e:.300}"
             );
         }
-        let request = CsvRequest { context: RunContext::new().asking(&|| true), ..CsvRequest::default() };
+        let request = CsvRequest { context: RunContext::new().polling(&|| true), ..CsvRequest::default() };
         let cancelled = Data::read_csv_text(b"time,y\n0,1\n", "test.csv", request);
         assert!(matches!(cancelled, Err(CalibrationError::Cancelled)));
     }

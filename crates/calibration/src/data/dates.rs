@@ -7,7 +7,7 @@ use jiff::fmt::strtime;
 
 use super::clock_change::{ClockChange, clock_change};
 use super::time_column::PairUnit;
-use crate::findings::shown_text::shortened;
+use crate::findings::display_text::shortened;
 
 /// Number of cells between two checks for cancellation.
 const CELLS_PER_LOOK: usize = 4096;
@@ -81,9 +81,9 @@ pub fn date_seconds(
         }
         let (form, nanoseconds) = parse(cell, pair).ok_or_else(|| DateError::Cell(row, complaint(cell)))?;
         let start = if form == Form::Duration { 0 } else { nanoseconds };
-        let (known, start) = *first.get_or_insert((form, start));
+        let (first_form, start) = *first.get_or_insert((form, start));
         let shown = shortened(cell);
-        if form != known {
+        if form != first_form {
             let other = shortened(cells[0].as_ref());
             return Err(DateError::Cell(
                 row,
@@ -264,7 +264,7 @@ mod tests {
         let zoned: Vec<String> = days(["01:00", "01:30", "03:00", "03:30", "04:00"]).map(|t| t + "Z").into();
         assert_eq!(found(&zoned).unwrap().1, None);
         assert_eq!(
-            date_seconds(&zoned, None, &RunContext::new().asking(&|| true)),
+            date_seconds(&zoned, None, &RunContext::new().polling(&|| true)),
             Err(DateError::Cancelled)
         );
     }

@@ -71,12 +71,15 @@ impl ParameterSet {
     /// Returns an error if the model has no such variable or the type of the variable differs. A unit that is
     /// unknown or measures another quantity is also an error.
     pub fn values(&self, model: &ModelDescription) -> Result<Vec<(String, Value)>, CalibrationError> {
-        self.parameters.iter().map(|own| Ok((own.name.clone(), self.value(own, model)?))).collect()
+        self.parameters
+            .iter()
+            .map(|parameter| Ok((parameter.name.clone(), self.value(parameter, model)?)))
+            .collect()
     }
 
-    fn value(&self, own: &SetParameter, model: &ModelDescription) -> Result<Value, CalibrationError> {
+    fn value(&self, parameter: &SetParameter, model: &ModelDescription) -> Result<Value, CalibrationError> {
         let bad = |message: String| CalibrationError::Data { source_name: self.source.clone(), message };
-        let SetParameter { name, value, unit, .. } = own;
+        let SetParameter { name, value, unit, .. } = parameter;
         let array = || name.rsplit_once('[').and_then(|(array, _)| model.variable(array));
         let variable = model.variable(name).or_else(array).ok_or_else(|| {
             let nearest = model.nearest_names(name, 3).into_iter().map(str::to_owned).collect();
@@ -84,15 +87,15 @@ impl ParameterSet {
             bad(format!("{unknown}. Names in a parameter set of one model must not contain component names"))
         })?;
         match (value, unit) {
-            (Value::String(item), _) if own.is_item => item_of(model, variable, item)
+            (Value::String(item), _) if parameter.is_item => item_of(model, variable, item)
                 .ok_or_else(|| bad(format!("'{name}' = '{item}' is not an item of its enumeration"))),
             (Value::Real(number), Some(unit)) => {
-                let own = self.units.get(unit.trim());
-                match UnitConversion::from_defined(unit, own, variable, model) {
+                let unit_definition = self.units.get(unit.trim());
+                match UnitConversion::from_defined(unit, unit_definition, variable, model) {
                     Ok(conversion) => Ok(Value::Real(conversion.apply(*number))),
                     // Models without units mostly use SI units.
                     Err(UnitError::NotStated { .. })
-                        if own
+                        if unit_definition
                             .copied()
                             .map_or_else(|| Unit::parse(unit), Ok)
                             .is_ok_and(|u| u.is_coherent()) =>
@@ -110,7 +113,7 @@ impl ParameterSet {
 /// Returns the number of an enumeration item.
 fn item_of(model: &ModelDescription, variable: &Variable, name: &str) -> Option<Value> {
     let types = variable.declared_type.as_ref().filter(|_| variable.kind == VariableKind::Enumeration);
-    let of = model.type_definitions.iter().find(|known| Some(&known.name) == types)?;
+    let of = model.type_definitions.iter().find(|definition| Some(&definition.name) == types)?;
     of.items.iter().find(|item| item.name == name).map(|item| Value::Integer(i128::from(item.value)))
 }
 
@@ -142,9 +145,9 @@ fn content(text: &str) -> Result<(Vec<SetParameter>, HashMap<String, Unit>), Str
                         ));
                     }
                     3 if name == "Parameter" => {
-                        let own = attribute(&start, "name")?;
+                        let name = attribute(&start, "name")?;
                         open = Some(
-                            own.ok_or_else(|| format!("line {}: a parameter without a name", line(at)))?,
+                            name.ok_or_else(|| format!("line {}: a parameter without a name", line(at)))?,
                         );
                     }
                     3 if name == "Unit" => open_unit = attribute(&start, "name")?,
@@ -157,8 +160,8 @@ fn content(text: &str) -> Result<(Vec<SetParameter>, HashMap<String, Unit>), Str
                         }
                     }
                     4 if name != "Annotations" => {
-                        if let Some(own) = open.take() {
-                            let one = one(own, name, &start);
+                        if let Some(parameter) = open.take() {
+                            let one = one(parameter, name, &start);
                             found.push(one.map_err(|message| format!("line {}: {message}", line(at)))?);
                         }
                     }
@@ -182,7 +185,7 @@ fn content(text: &str) -> Result<(Vec<SetParameter>, HashMap<String, Unit>), Str
         }
     }
     let mut names = HashSet::new();
-    if let Some(twice) = found.iter().find(|own: &&SetParameter| !names.insert(&own.name)) {
+    if let Some(twice) = found.iter().find(|parameter: &&SetParameter| !names.insert(&parameter.name)) {
         return Err(format!("'{}' is given twice", twice.name));
     }
     match found.is_empty() {

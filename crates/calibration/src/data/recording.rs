@@ -496,27 +496,27 @@ impl Data {
     /// values or in a wider gap.
     pub(crate) fn value_at(&self, column: &str, time: f64) -> Result<f64, CalibrationError> {
         let values = self.column(column)?;
-        let known: Vec<(f64, f64)> =
+        let samples: Vec<(f64, f64)> =
             self.time.iter().copied().zip(values.iter().copied()).filter(|(_, v)| !v.is_nan()).collect();
         let bad = |found: String| {
             let message = format!("column '{column}' has no value at {} s{found}", Number(time));
             Err(CalibrationError::Data { source_name: self.source.clone(), message })
         };
-        let (Some(first), Some(last)) = (known.first(), known.last()) else {
+        let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
             return bad(": all are missing".to_owned());
         };
         let tolerance = base::time_tolerance(first.0.min(time), last.0.max(time));
-        if let Some((_, value)) = known.iter().find(|(t, _)| (t - time).abs() <= tolerance) {
+        if let Some((_, value)) = samples.iter().find(|(t, _)| (t - time).abs() <= tolerance) {
             return Ok(*value);
         }
-        let after = known.partition_point(|(t, _)| *t <= time);
+        let after = samples.partition_point(|(t, _)| *t <= time);
         if after == 0 {
             return bad(format!(". The first value is at {} s", Number(first.0)));
         }
-        let (Some((t0, v0)), Some((t1, v1))) = (known.get(after - 1), known.get(after)) else {
+        let (Some((t0, v0)), Some((t1, v1))) = (samples.get(after - 1), samples.get(after)) else {
             return bad(format!(". The last value is at {} s", Number(last.0)));
         };
-        let times: Vec<f64> = known.iter().map(|(t, _)| *t).collect();
+        let times: Vec<f64> = samples.iter().map(|(t, _)| *t).collect();
         let rounding = (WIDEST_GAP + 1.0) * tolerance;
         if sampling_interval(&times).is_some_and(|usual| t1 - t0 > WIDEST_GAP * usual + rounding) {
             return bad(format!(". Values are missing from {} s to {} s", Number(*t0), Number(*t1)));
@@ -586,8 +586,8 @@ impl Column {
 /// contain a comma and others a point, and one of them may separate thousands.
 pub(super) fn mixed_decimal_signs(all: &[Column], column: &Column) -> Option<String> {
     let first = |mark: fn(&Column) -> Option<&Cell>| {
-        let own = std::iter::once(column).chain(all.iter().filter(|c| c.text.is_none()));
-        own.into_iter().find_map(|c| mark(c).map(|cell| (&c.name, cell)))
+        let columns = std::iter::once(column).chain(all.iter().filter(|c| c.text.is_none()));
+        columns.into_iter().find_map(|c| mark(c).map(|cell| (&c.name, cell)))
     };
     let (commas, (line, comma)) = first(|c| c.comma.as_ref())?;
     let (points, (other, point)) = first(|c| c.point.as_ref())?;

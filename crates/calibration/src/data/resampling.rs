@@ -29,11 +29,11 @@ impl Data {
         }
         let (start, end) = (self.time[0], self.time[self.time.len() - 1]);
         let tolerance = base::time_tolerance(start, end);
-        if let Some(own) = self.sampling_interval().filter(|own| interval < own - tolerance) {
+        if let Some(spacing) = self.sampling_interval().filter(|spacing| interval < spacing - tolerance) {
             return Err(bad(format!(
                 "resample = {} s is shorter than the row spacing of {} s. Set a larger interval",
                 Number(interval),
-                Number(own)
+                Number(spacing)
             )));
         }
         let columns: Vec<ColumnMeans<'_>> = (self.columns.iter().enumerate())
@@ -78,8 +78,8 @@ impl Data {
         self.resampled = Some(interval);
         self.time = time.into();
         self.columns.iter_mut().zip(values).for_each(|(column, values)| column.values = values.into());
-        let own = |(weights, is_weighted)| if is_weighted { weights } else { Vec::new() };
-        Ok((self, weights.into_iter().zip(is_weighted).map(own).collect()))
+        let if_weighted = |(weights, is_weighted)| if is_weighted { weights } else { Vec::new() };
+        Ok((self, weights.into_iter().zip(is_weighted).map(if_weighted).collect()))
     }
 }
 
@@ -110,13 +110,13 @@ struct ColumnMeans<'a> {
 impl ColumnMeans<'_> {
     /// Passes the values of an interval with their times to `put`.
     fn reduce(&self, time: &[f64], rows: Range<usize>, mut put: impl FnMut(f64, Mean)) {
-        let known = |row: &usize| !self.values[*row].is_nan();
+        let is_present = |row: &usize| !self.values[*row].is_nan();
         match self.means {
             Means::Held => {
                 let mut last = None;
                 let is_end = rows.end == time.len();
-                let end = rows.clone().rev().find(known).filter(|_| is_end);
-                for row in rows.filter(known) {
+                let end = rows.clone().rev().find(is_present).filter(|_| is_end);
+                for row in rows.filter(is_present) {
                     // The last row of the table defines the end of the recording.
                     if last != Some(self.values[row]) || Some(row) == end {
                         put(time[row], Mean { value: self.values[row], weight: 0.0 });
@@ -125,24 +125,25 @@ impl ColumnMeans<'_> {
                 }
             }
             Means::Plain => {
-                let known: Vec<usize> = rows.filter(known).collect();
-                if !known.is_empty() {
+                let present: Vec<usize> = rows.filter(is_present).collect();
+                if !present.is_empty() {
                     put(
-                        mean(time, &known, |_| 1.0),
-                        Mean { value: mean(self.values, &known, |_| 1.0), weight: 0.0 },
+                        mean(time, &present, |_| 1.0),
+                        Mean { value: mean(self.values, &present, |_| 1.0), weight: 0.0 },
                     );
                 }
             }
             Means::Weighted(weights) => {
-                let known: Vec<usize> = rows.filter(known).filter(|row| weights[*row] != 0.0).collect();
+                let present: Vec<usize> =
+                    rows.filter(is_present).filter(|row| weights[*row] != 0.0).collect();
                 // Squares of ratios to the largest weight do not overflow.
-                let largest = known.iter().map(|row| weights[*row]).fold(0.0, f64::max);
+                let largest = present.iter().map(|row| weights[*row]).fold(0.0, f64::max);
                 let square = |row: usize| (weights[row] / largest).powi(2);
-                if !known.is_empty() {
-                    let weight = largest * known.iter().map(|row| square(*row)).sum::<f64>().sqrt();
+                if !present.is_empty() {
+                    let weight = largest * present.iter().map(|row| square(*row)).sum::<f64>().sqrt();
                     put(
-                        mean(time, &known, square),
-                        Mean { value: mean(self.values, &known, square), weight },
+                        mean(time, &present, square),
+                        Mean { value: mean(self.values, &present, square), weight },
                     );
                 }
             }
@@ -197,14 +198,14 @@ mod tests {
         let weights = [1.0, 3.0, 2.0, 8.0, 0.0, 4.0];
         let how = |k: usize| if k == 0 { Means::Weighted(&weights) } else { Means::Held };
         let (means, of_means) = data.resampled(2.0, how).unwrap();
-        let known: Vec<(f64, f64, f64)> =
+        let rows: Vec<(f64, f64, f64)> =
             (means.time().iter().zip(means.column("y").unwrap()).zip(&of_means[0]))
                 .filter(|((_, y), _)| !y.is_nan())
                 .map(|((t, y), w)| (*t, *y, *w))
                 .collect();
         let expected = [(0.9, 0.9, 10f64.sqrt()), (2.0, 5.0, 2.0), (5.0, 2.0, 4.0)];
-        assert_eq!(known.len(), 3, "{known:?}");
-        for ((t, y, w), (time, value, weight)) in known.into_iter().zip(expected) {
+        assert_eq!(rows.len(), 3, "{rows:?}");
+        for ((t, y, w), (time, value, weight)) in rows.into_iter().zip(expected) {
             assert!(
                 (t - time).abs() < 1e-14 && (y - value).abs() < 1e-14 && (w - weight).abs() < 1e-14,
                 "{t} {y} {w}"
@@ -242,11 +243,11 @@ mod tests {
         let data = plain(table(), 0.3).unwrap();
         let near =
             |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12) && a.len() == b.len();
-        let known = |name: &str| -> (Vec<f64>, Vec<f64>) {
+        let resampled = |name: &str| -> (Vec<f64>, Vec<f64>) {
             let rows = data.time().iter().zip(data.column(name).unwrap()).filter(|(_, v)| !v.is_nan());
             rows.unzip()
         };
-        let (times, values) = known("y");
+        let (times, values) = resampled("y");
         assert!(near(&times, &[0.1, 0.4, 0.6]) && near(&values, &[1.0, 4.0, 6.0]), "{times:?} {values:?}");
         for (interval, expected) in [
             (0.05, "resample = 0.05 s is shorter than the row spacing of 0.1"),

@@ -1,7 +1,7 @@
 //! Selection of the time column of a table, and its unit.
 
 use super::units::{Unit, UnitConversion, UnitError};
-use crate::findings::shown_text::shortened;
+use crate::findings::display_text::shortened;
 
 /// Maximum number of names in a message. Further names are only counted.
 pub(crate) const MOST_LISTED: usize = 20;
@@ -164,8 +164,8 @@ pub(super) fn time_unit(name: &str, given: &str) -> Result<(f64, f64), String> {
     let length = |unit: &str| Unit::parse(unit).ok().and_then(|unit| unit.time_factor());
     length(given).ok_or_else(|| {
         let case = given.to_lowercase();
-        let is_known = length(&case).is_some();
-        let hint = if is_known {
+        let differs_only_in_case = length(&case).is_some();
+        let hint = if differs_only_in_case {
             format!(". Units are case-sensitive; did you mean '{case}'?")
         } else {
             String::new()

@@ -108,7 +108,7 @@ impl UnitConversion {
     /// the model.
     pub(super) fn from_defined(
         from: &str,
-        own: Option<&Unit>,
+        given_unit: Option<&Unit>,
         variable: &Variable,
         description: &ModelDescription,
     ) -> Result<Self, UnitError> {
@@ -119,12 +119,12 @@ impl UnitConversion {
             true => Self { offset: 0.0, ..conversion },
             false => conversion,
         };
-        if from == to && own.is_none() {
+        if from == to && given_unit.is_none() {
             return Ok(Self::IDENTITY);
         }
         let defined = |name: &str| description.units.iter().find(|unit| unit.name == name);
         let shown = defined(to).and_then(|unit| unit.display_units.iter().find(|d| d.name == from));
-        if let Some(display) = shown.filter(|d| own.is_none() && !d.inverse && d.factor != 0.0) {
+        if let Some(display) = shown.filter(|d| given_unit.is_none() && !d.inverse && d.factor != 0.0) {
             // shown = factor * value + offset
             let offset = -display.offset / display.factor;
             return Ok(without_offset(Self { factor: (1.0, display.factor), offset }));
@@ -133,15 +133,15 @@ impl UnitConversion {
             Some(base) => Ok(Unit::of_base(&base)),
             None => Unit::parse(name),
         };
-        let target = match (unit(to), own) {
+        let target = match (unit(to), given_unit) {
             // An unknown name on both sides denotes one unit.
             (Err(_), Some(_)) if from == to => return Ok(Self::IDENTITY),
             (target, _) => target?,
         };
-        let own = own.copied().map_or_else(|| unit(from), Ok)?;
-        match own == target {
+        let given_unit = given_unit.copied().map_or_else(|| unit(from), Ok)?;
+        match given_unit == target {
             true => Ok(Self::IDENTITY),
-            false => Unit::conversion(from, own, to, target).map(without_offset),
+            false => Unit::conversion(from, given_unit, to, target).map(without_offset),
         }
     }
 
@@ -175,7 +175,7 @@ impl Unit {
     pub fn parse(name: &str) -> Result<Self, UnitError> {
         let name = name.trim();
         let unknown = |hint: &str| UnitError::Unknown { name: shortened(name), hint: hint.to_owned() };
-        if let Some(unit) = known(name) {
+        if let Some(unit) = unit_named(name) {
             return Ok(unit);
         }
         let mut parser = Parser { rest: name, depth: 0 };
@@ -259,8 +259,8 @@ impl Unit {
     /// Returns the product with a power of a different unit, without offsets.
     fn times(self, other: Self, power: i32) -> Self {
         let mut exponents = self.exponents;
-        for (own, others) in exponents.iter_mut().zip(other.exponents) {
-            *own = own.saturating_add(others.saturating_mul(power));
+        for (exponent, others) in exponents.iter_mut().zip(other.exponents) {
+            *exponent = exponent.saturating_add(others.saturating_mul(power));
         }
         let (n, d) = (other.numerator.powi(power.abs()), other.denominator.powi(power.abs()));
         let (n, d) = if power < 0 { (d, n) } else { (n, d) };
@@ -279,7 +279,7 @@ impl fmt::Display for UnitConversion {
 }
 
 /// Returns the unit of a symbol, with or without a prefix, or of a word.
-fn known(name: &str) -> Option<Unit> {
+fn unit_named(name: &str) -> Option<Unit> {
     let (exponents, (numerator, denominator), offset) = unit_symbols::find(name)?;
     Some(Unit { exponents, numerator, denominator, offset })
 }
@@ -372,7 +372,7 @@ impl Parser<'_> {
             let end = self.rest.find(is_end).unwrap_or(self.rest.len());
             let (name, rest) = self.rest.split_at(end);
             self.rest = rest;
-            known(name)?
+            unit_named(name)?
         };
         let power = self.power()?;
         Some(Unit::ONE.times(factor, power))

@@ -13,7 +13,7 @@ pub(super) fn check_belongs(fit: &Fit, calibration: &Calibration) -> Result<(), 
     let names: Vec<&str> = calibration.parameters().iter().map(|p| p.name()).collect();
     let lists = [names.join(", "), fit.names.join(", ")];
     if names != fit.names {
-        let [own, other] = lists;
+        let [of_calibration, other] = lists;
         return Err(CalibrationError::Setup(format!(
             "the fit has the parameters {other}, but the calibration has {own}"
         )));

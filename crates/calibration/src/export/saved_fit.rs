@@ -198,9 +198,9 @@ fn header(mut bytes: &[u8]) -> Result<(Header, &[u8]), String> {
     let found = item::<Header>(&mut bytes).ok().filter(|header| header.format == FORMAT);
     let header = found.ok_or("the file is not a saved fit")?;
     if header.format_version != FORMAT_VERSION {
-        let (by, own) = (&header.written_by, env!("CARGO_PKG_VERSION"));
+        let (by, program_version) = (&header.written_by, env!("CARGO_PKG_VERSION"));
         return Err(format!(
-            "the file was written by version {by} in format {}, but version {own} reads format {FORMAT_VERSION}. Use version {by}, \
+            "the file was written by version {by} in format {}, but version {program_version} reads format {FORMAT_VERSION}. Use version {by}, \
              or fit again",
             header.format_version
         ));

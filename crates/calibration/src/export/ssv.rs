@@ -51,8 +51,8 @@ impl Fit {
             let array = || name.rsplit_once('[').and_then(|(array, _)| model.variable(array));
             let variable = model.variable(name).or_else(array);
             let unit = variable.and_then(|v| v.unit.as_deref());
-            let is_named = |known: &&Unit| Some(known.name.as_str()) == unit;
-            let base = model.units.iter().find(is_named).and_then(|known| known.base.as_ref());
+            let is_named = |defined: &&Unit| Some(defined.name.as_str()) == unit;
+            let base = model.units.iter().find(is_named).and_then(|defined| defined.base.as_ref());
             let unit = unit.zip(base);
             units.extend(unit);
             let kind = variable.map_or(VariableKind::Real, |v| v.kind);

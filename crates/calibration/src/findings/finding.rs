@@ -1,7 +1,7 @@
 //! Findings about a setup or a fit: sentences with an identifier, a subject, a severity and a remedy.
 
+use crate::findings::display_text::visible_line;
 use crate::findings::identifier::FindingId;
-use crate::findings::shown_text::visible_line;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::fmt;

@@ -1,5 +1,5 @@
 //! Findings of checks and fits, and the display of external names.
 
+pub(crate) mod display_text;
 pub(crate) mod finding;
 pub(crate) mod identifier;
-pub(crate) mod shown_text;

@@ -1,6 +1,6 @@
 //! Goodness of fit: chi-square, information criteria, and the comparison of two fits.
 
-use crate::findings::shown_text::digits;
+use crate::findings::display_text::digits;
 use crate::fit::one_stage::{Fit, FitNoise, ModelledNoise};
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF, FisherSnedecor};
@@ -98,11 +98,12 @@ impl Fit {
         let is_noise_known = self.noise.as_ref().is_some_and(FitNoise::is_known);
         let models = self.models();
         let with_models = (!models.is_empty()).then(|| {
-            let logarithms = models.iter().flat_map(|own| &own.series).map(|series| series.sum_of_logarithms);
-            let n_modelled: usize = models.iter().map(|own| own.series.len()).sum();
+            let logarithms =
+                models.iter().flat_map(|noise| &noise.series).map(|series| series.sum_of_logarithms);
+            let n_modelled: usize = models.iter().map(|noise| noise.series.len()).sum();
             let is_all = is_noise_known || n_modelled == self.outputs.len();
             let likelihood = if is_all { chisqr + 2.0 * logarithms.sum::<f64>() } else { f64::NAN };
-            (likelihood, models.iter().map(|own| own.coefficients().count()).sum())
+            (likelihood, models.iter().map(|noise| noise.coefficients().count()).sum())
         });
         Goodness::new(chisqr, self.n_measurements, nvarys, is_noise_known, with_models)
     }
@@ -130,7 +131,7 @@ impl Fit {
             ));
         }
         let modelled =
-            |fit: &Self| -> Vec<String> { fit.models().iter().map(|own| own.variable.clone()).collect() };
+            |fit: &Self| -> Vec<String> { fit.models().iter().map(|noise| noise.variable.clone()).collect() };
         if modelled(self) != modelled(other) {
             return Err("the fits cannot be compared because an output has an error model (sigma) in only one of them. \
                         Use an error model in both, such as 'a + b*abs(y)' and 'b*abs(y)'"

@@ -18,7 +18,7 @@ const MOST_REASONS: usize = 50;
 /// simulations: the search has already computed the residuals at the best point.
 #[derive(Debug, Default)]
 pub struct LiveFit {
-    known: Mutex<LiveState>,
+    state: Mutex<LiveState>,
     /// Evaluations in progress.
     running: Mutex<Vec<RunningPoint>>,
 }
@@ -79,23 +79,23 @@ pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl LiveFit {
     /// Begins a search that stores its residuals in `kept`.
     pub(crate) fn begin(&self, layout: &ResidualLayout, loss: RobustLoss, kept: &Arc<Mutex<KeptResiduals>>) {
-        let mut known = lock(&self.known);
-        known.search = Some(LiveSearch { layout: layout.clone(), loss, kept: Arc::clone(kept) });
-        known.before = known.n_iterations;
+        let mut state = lock(&self.state);
+        state.search = Some(LiveSearch { layout: layout.clone(), loss, kept: Arc::clone(kept) });
+        state.before = state.n_iterations;
         lock(&self.running).clear();
     }
 
     /// Records an iteration of the search.
     pub(crate) fn note(&self, progress: &Progress<'_>) {
-        let mut known = lock(&self.known);
-        known.n_iterations = known.before + progress.n_iterations;
-        known.best = Some((progress.x.to_vec(), progress.fun));
+        let mut state = lock(&self.state);
+        state.n_iterations = state.before + progress.n_iterations;
+        state.best = Some((progress.x.to_vec(), progress.fun));
         for entry in progress.recent() {
-            known.n_evaluations += 1;
+            state.n_evaluations += 1;
             match entry.outcome {
-                Outcome::Value(cost) => known.add_cost(*cost),
+                Outcome::Value(cost) => state.add_cost(*cost),
                 Outcome::Failed(failure) if failure.kind.is_of_point() => {
-                    known.add_failed(entry.x, &failure.message)
+                    state.add_failed(entry.x, &failure.message)
                 }
                 _ => {}
             }
@@ -120,7 +120,7 @@ impl LiveFit {
 
     /// Returns a snapshot of the state.
     pub(crate) fn state(&self) -> LiveState {
-        lock(&self.known).clone()
+        lock(&self.state).clone()
     }
 
     /// Returns the evaluations in progress, longest-running first.
@@ -157,7 +157,7 @@ impl LiveState {
 
     fn add_failed(&mut self, x: &[f64], reason: &str) {
         self.n_failed += 1;
-        match self.failures.iter().position(|(known, _)| known == reason) {
+        match self.failures.iter().position(|(state, _)| state == reason) {
             Some(k) => self.failures[k].1 += 1,
             None if self.failures.len() < MOST_REASONS => self.failures.push((reason.to_owned(), 1)),
             None => {}

@@ -129,13 +129,13 @@ impl Calibration {
     pub(crate) fn end_residuals(
         &self,
         x: &[f64],
-        known: &KeptResiduals,
+        kept: &KeptResiduals,
         loss: RobustLoss,
         context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> EndResiduals {
         let mut at = |x: &[f64]| {
-            known.plain(x, loss).or_else(|| {
+            kept.plain(x, loss).or_else(|| {
                 let mut residuals = vec![0.0; self.n_residuals()];
                 let rule = CostRule::whole(RobustLoss::default(), context);
                 let cost = (!context.is_over()).then(|| self.evaluate_into(x, rule, &mut residuals, stats));
@@ -143,7 +143,7 @@ impl Calibration {
             })
         };
         let end = at(x);
-        EndResiduals { start: end.as_ref().and_then(|_| at(&known.start)), end }
+        EndResiduals { start: end.as_ref().and_then(|_| at(&kept.start)), end }
     }
 
     /// Returns the quality of fit of each output at a point and its RMS at the start, from residuals without

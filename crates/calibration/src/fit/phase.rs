@@ -95,10 +95,10 @@ impl Phases {
     /// Ends a phase and begins this one. `stats` counts all simulations of the fit so far.
     pub(crate) fn enter(&mut self, phase: FitPhase, stats: &Stats) {
         let (last, since, before) = self.now;
-        let mut own = Effort::of(stats, since.elapsed());
-        own.simulations = own.simulations.saturating_sub(before.simulations);
-        own.right_hand_sides = own.right_hand_sides.saturating_sub(before.right_hand_sides);
-        self.taken[last as usize] += own;
+        let mut effort = Effort::of(stats, since.elapsed());
+        effort.simulations = effort.simulations.saturating_sub(before.simulations);
+        effort.right_hand_sides = effort.right_hand_sides.saturating_sub(before.right_hand_sides);
+        self.taken[last as usize] += effort;
         self.begin(phase, stats);
     }
 

@@ -21,16 +21,16 @@ pub fn stages_schema(generator: &mut SchemaGenerator) -> Schema {
     json_schema!({ "type": "array", "items": stage_schema(generator) })
 }
 
-fn with_run(own: Schema, generator: &mut SchemaGenerator) -> Schema {
+fn with_run(of_fit: Schema, generator: &mut SchemaGenerator) -> Schema {
     let mut schema = RequestedRun::json_schema(generator);
-    let own = own.get("properties").and_then(Json::as_object).cloned().unwrap_or_default();
+    let of_fit = of_fit.get("properties").and_then(Json::as_object).cloned().unwrap_or_default();
     for rule in schema.get_mut("allOf").and_then(Json::as_array_mut).into_iter().flatten() {
         if let Some(names) = rule.pointer_mut("/then/propertyNames/enum").and_then(Json::as_array_mut) {
-            names.extend(own.keys().map(|name| Json::from(name.as_str())));
+            names.extend(of_fit.keys().map(|name| Json::from(name.as_str())));
         }
     }
     if let Some(properties) = schema.get_mut("properties").and_then(Json::as_object_mut) {
-        properties.extend(own);
+        properties.extend(of_fit);
     }
     schema
 }

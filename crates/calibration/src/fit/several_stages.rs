@@ -12,7 +12,7 @@ use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::FitPhase;
 use crate::loaded::budget::Extra;
 use crate::loaded::calibration::Calibration;
-use crate::uncertainty::stuck_parameters::StuckParameters;
+use crate::uncertainty::inactive_parameters::InactiveParameters;
 use base::RunContext;
 use dfo::{
     AnyMethod, Limits, Progress, Record, Report, RequestedRun, RunOptions, Termination, Tolerances, Value,
@@ -92,11 +92,11 @@ impl Stage {
     /// # Errors
     /// Returns an error if an option does not exist or its value is invalid.
     pub fn from_record(record: Record, n: usize, workers: Option<usize>) -> Result<Self, dfo::Error> {
-        let (own, of_run) = read_part::<StageRecord>(record, "option of a stage")?;
+        let (of_stage_record, of_run) = read_part::<StageRecord>(record, "option of a stage")?;
         let default = RunOptions { workers, ..FitOptions::default_run() };
         let run = RequestedRun::new(default, &of_run, n)?.options;
         let (method, tolerances) = (Some(run.method), Some(run.tolerances));
-        let StageRecord { parameters, windows } = own;
+        let StageRecord { parameters, windows } = of_stage_record;
         Ok(Self { parameters, windows, method, limits: run.limits, tolerances, method_reason: None })
     }
 
@@ -174,23 +174,23 @@ impl Left {
     /// Returns the run of a stage. Also returns the stage's own time limit if it is shorter than the time
     /// left.
     fn run(&self, run: &RunOptions<AnyMethod>, stage: &Stage) -> (RunOptions<AnyMethod>, Option<Duration>) {
-        let mut own = run.clone();
+        let mut run_of_stage = run.clone();
         // The message of the stage reports the limit that ends the stage.
         let of_stage =
             stage.limits.max_time.filter(|limit| self.limits.max_time.is_none_or(|time| *limit < time));
         if let Some(method) = &stage.method {
-            (own.method, own.method_reason) = (method.clone(), stage.method_reason.clone());
+            (run_of_stage.method, run_of_stage.method_reason) = (method.clone(), stage.method_reason.clone());
         }
-        own.tolerances = stage.tolerances.unwrap_or(run.tolerances);
-        own.limits = Limits {
-            max_failed: own.limits.max_failed,
+        run_of_stage.tolerances = stage.tolerances.unwrap_or(run.tolerances);
+        run_of_stage.limits = Limits {
+            max_failed: run_of_stage.limits.max_failed,
             max_evaluations: least(stage.limits.max_evaluations, self.limits.max_evaluations),
             max_iterations: least(stage.limits.max_iterations, self.limits.max_iterations),
             max_time: of_stage.or(run.limits.max_time),
             // A target for the whole fit does not apply to a single window.
             target: stage.limits.target.or(run.limits.target.filter(|_| stage.windows.is_empty())),
         };
-        (own, of_stage)
+        (run_of_stage, of_stage)
     }
 }
 
@@ -211,8 +211,8 @@ fn in_stage(k: usize) -> impl Fn(CalibrationError) -> CalibrationError {
 }
 
 /// Returns the parameters that ended at a bound or had no effect in the last stage that freed them.
-fn stuck_in_all(fits: &[Fit], freed: &[Vec<usize>]) -> StuckParameters {
-    let mut all = StuckParameters::default();
+fn inactive_in_all(fits: &[Fit], freed: &[Vec<usize>]) -> InactiveParameters {
+    let mut all = InactiveParameters::default();
     for (fit, freed) in fits.iter().zip(freed) {
         all.at_bound.retain(|(i, _)| !freed.contains(i));
         all.without_effect.retain(|i| !freed.contains(i));
@@ -292,15 +292,15 @@ impl Calibration {
         let freed = self.all_checked(stages, &job)?;
         let mut stats = Stats::default();
         let tolerance = self.choose_tolerance(&job);
-        let tolerant = self.with_tolerance(tolerance.as_ref())?;
-        let this = tolerant.as_ref().unwrap_or(self);
+        let with_tolerance = self.with_tolerance(tolerance.as_ref())?;
+        let calibration = with_tolerance.as_ref().unwrap_or(self);
         job.enter(FitPhase::Checks, &stats);
-        let done = this.in_turn(stages, &freed, &job)?;
+        let done = calibration.in_turn(stages, &freed, &job)?;
         job.phases.borrow_mut().begin(FitPhase::Checks, &stats);
         let is_freed = |i: &usize| freed.iter().any(|freed| freed.contains(i));
         job.held = (0..job.start.len()).filter(|i| !is_freed(i)).collect();
         job.is_whole = true;
-        let mut made = this.all_in_one(stages, &freed, &done, &job, &mut stats)?;
+        let mut made = calibration.all_in_one(stages, &freed, &done, &job, &mut stats)?;
         made.searched.raised.extend(tolerance.and_then(|chosen| chosen.finding()));
         made.tolerance = tolerance;
         job.enter(FitPhase::Checks, &stats);
@@ -309,7 +309,7 @@ impl Calibration {
             job.phases.borrow_mut().add(&fit.phases);
         }
         job.phases.borrow_mut().begin(FitPhase::Checks, &stats);
-        let own = made.own.take();
+        let fitted = made.fitted_calibration.take();
         let last = done.fits.len() - 1;
         let is_joint =
             stages[last].windows.is_empty() && freed.iter().flatten().all(|i| freed[last].contains(i));
@@ -317,7 +317,8 @@ impl Calibration {
             true => made.budget(),
             false => made.budget().requiring(Extra::ShorterSteps),
         };
-        let (mut fit, _) = this.assessed(own.as_ref().unwrap_or(this), &job, made, stats, budget);
+        let (mut fit, _) =
+            calibration.assessed(fitted.as_ref().unwrap_or(calibration), &job, made, stats, budget);
         fit.phases = job.phases.borrow_mut().costs(&fit.stats);
         fit.stages = done.fits;
         match &mut fit.uncertainty {
@@ -363,7 +364,7 @@ impl Calibration {
                 objective: job.objective.clone(),
                 loss: job.loss,
                 noise: job.noise,
-                preflight: job.wants_preflight && k == 0,
+                preflight: job.has_preflight && k == 0,
                 uncertainty: job.uncertainty.clone(),
                 observer: observer.as_mut().map(|observer| {
                     Box::new(move |progress: &Progress<'_>| observer(&left.spent.before(progress)))
@@ -398,12 +399,13 @@ impl Calibration {
                 done.at_start = kept.at_start().map(<[f64]>::to_vec);
             }
             done.at_end = kept.at(&fit.x).map(<[f64]>::to_vec);
-            let own = StageRecord { parameters: stage.parameters.clone(), windows: stage.windows.clone() };
+            let stage_record =
+                StageRecord { parameters: stage.parameters.clone(), windows: stage.windows.clone() };
             let names = Stage::option_names()?;
             // The other options belong to the whole fit.
             fit.options.retain(|name, _| names.contains(name));
-            if let Value::Record(own) = Value::of(&own)? {
-                fit.options.extend(own);
+            if let Value::Record(stage_record) = Value::of(&stage_record)? {
+                fit.options.extend(stage_record);
             }
             done.fits.push(fit);
             if is_last {
@@ -426,18 +428,18 @@ impl Calibration {
         let Done { fits, ended, .. } = done;
         let (first, last) = (&fits[0], &fits[fits.len() - 1]);
         let weighed = self.with_noise(last.noise.as_ref())?;
-        let own = weighed.as_ref().unwrap_or(self);
-        let (mut report, mut stuck) =
-            (report_of_all(stages, fits, ended.as_ref()), stuck_in_all(fits, freed));
-        let is_own = |k: usize| stages[k].windows.is_empty() && fits[k].noise == last.noise;
+        let fitted = weighed.as_ref().unwrap_or(self);
+        let (mut report, mut inactive) =
+            (report_of_all(stages, fits, ended.as_ref()), inactive_in_all(fits, freed));
+        let uses_final_noise = |k: usize| stages[k].windows.is_empty() && fits[k].noise == last.noise;
         let mut evaluated = |x: &[f64]| {
-            stuck.n_checks += 1;
-            own.cost_and_residuals(x, &job.objective, job.loss, &job.context, stats)
+            inactive.n_checks += 1;
+            fitted.cost_and_residuals(x, &job.objective, job.loss, &job.context, stats)
         };
-        let reweighed = |known: &Option<Vec<f64>>| {
-            known.as_deref().map(|r| own.residual_layout().reweighed(r, self.residual_layout()))
+        let reweighed = |residuals: &Option<Vec<f64>>| {
+            residuals.as_deref().map(|r| fitted.residual_layout().reweighed(r, self.residual_layout()))
         };
-        let at_end = match is_own(fits.len() - 1) {
+        let at_end = match uses_final_noise(fits.len() - 1) {
             true => reweighed(&done.at_end),
             false => {
                 let (cost, at_end) = evaluated(&last.x).unzip();
@@ -445,7 +447,7 @@ impl Calibration {
                 at_end
             }
         };
-        let (start_cost, at_start) = match is_own(0) {
+        let (start_cost, at_start) = match uses_final_noise(0) {
             true => (first.start_cost, reweighed(&done.at_start)),
             false => evaluated(&job.start).unzip(),
         };
@@ -460,13 +462,13 @@ impl Calibration {
         let searched = SearchResult {
             residuals: KeptResiduals::new(&job.start, at_start).with(&report.x, at_end.as_deref()),
             report,
-            stuck,
+            inactive,
             start_cost,
             preflight: first.preflight.clone(),
             tolerances: job.run.tolerances,
             raised,
         };
-        Ok(FinalSearch { own: weighed, searched, noise: last.noise.clone(), tolerance: None })
+        Ok(FinalSearch { fitted_calibration: weighed, searched, noise: last.noise.clone(), tolerance: None })
     }
 
     /// Checks the arguments of [`fit`](Self::fit), or of [`fit_stages`](Self::fit_stages) if there are
@@ -533,8 +535,9 @@ impl Calibration {
     /// Returns the entries of `x` with this name: one entry, or all entries of a local parameter.
     pub(crate) fn entries_of(&self, name: &str) -> Vec<usize> {
         let is_local = self.problem().parameters.iter().any(|p| p.is_local() && p.name() == name);
-        let is_it =
-            |own: &str| own == name || (is_local && own.strip_prefix(name).is_some_and(is_in_experiment));
+        let is_it = |entry: &str| {
+            entry == name || (is_local && entry.strip_prefix(name).is_some_and(is_in_experiment))
+        };
         let entries = self.parameters().iter().enumerate();
         entries.filter(|(_, p)| is_it(p.name())).map(|(i, _)| i).collect()
     }

@@ -194,11 +194,14 @@ impl Calibration {
         let uncertainty = &usable_uncertainty(fit, options.is_corrected)?;
         check_level(options.level, 1.0)?;
         let layout = self.residual_layout();
-        let known: Vec<&str> = layout.outputs.iter().map(|output| output.variable.as_str()).collect();
+        let available: Vec<&str> = layout.outputs.iter().map(|output| output.variable.as_str()).collect();
         let chosen = options.outputs.as_deref();
-        if let Some(name) = chosen.unwrap_or_default().iter().find(|name| !known.contains(&name.as_str())) {
-            let known = known.join(", ");
-            return Err(CalibrationError::Setup(format!("output '{name}' not found; available: {known}")));
+        if let Some(name) = chosen.unwrap_or_default().iter().find(|name| !available.contains(&name.as_str()))
+        {
+            let available = available.join(", ");
+            return Err(CalibrationError::Setup(format!(
+                "output '{name}' not found; available: {available}"
+            )));
         }
         self.prepare()?;
         // Short simulations may end before the next check for cancellation.
@@ -275,11 +278,12 @@ impl Calibration {
         options: &BandOptions,
         context: &RunContext<'_>,
     ) -> Result<Vec<Vec<Vec<f64>>>, CalibrationError> {
-        let known = self.measured_starts(&fit.x);
+        let measured_starts = self.measured_starts(&fit.x);
         let n = fit.x.len();
         let of = |(k, (experiment, state)): (usize, &(usize, String))| {
-            let is_own = |start: &&MeasuredStart| (start.experiment, &start.state) == (*experiment, state);
-            let Some(start) = known.iter().find(is_own) else {
+            let is_of_state =
+                |start: &&MeasuredStart| (start.experiment, &start.state) == (*experiment, state);
+            let Some(start) = measured_starts.iter().find(is_of_state) else {
                 return Err(CalibrationError::Setup(format!(
                     "the prediction band requires a measurement of '{state}' at the start of the simulation, which no longer exists"
                 )));
@@ -391,7 +395,7 @@ impl Calibration {
 /// Returns the standard deviations of the noise of measurements of an output at these times, from the
 /// variance of its residuals.
 fn noise_at(times: &[f64], output: &OutputResiduals, residual_variance: f64) -> Vec<f64> {
-    let known: Vec<(f64, f64)> = output
+    let deviations: Vec<(f64, f64)> = output
         .times
         .iter()
         .zip(&output.weights)
@@ -399,8 +403,8 @@ fn noise_at(times: &[f64], output: &OutputResiduals, residual_variance: f64) -> 
         .map(|(time, weight)| (*time, residual_variance.sqrt() / weight.abs()))
         .collect();
     let at = |time: &f64| {
-        let next = known.partition_point(|(t, _)| t < time);
-        match (next.checked_sub(1).map(|before| known[before]), known.get(next).copied()) {
+        let next = deviations.partition_point(|(t, _)| t < time);
+        match (next.checked_sub(1).map(|before| deviations[before]), deviations.get(next).copied()) {
             (Some((from, a)), Some((to, b))) => a + (b - a) * (time - from) / (to - from),
             (Some((_, sd)), None) | (None, Some((_, sd))) => sd,
             (None, None) => f64::NAN,

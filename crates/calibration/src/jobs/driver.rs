@@ -220,8 +220,8 @@ impl Evaluator for JobDriver {
     }
 
     fn n_lost(&self) -> usize {
-        let own = format!("{:04}-", self.problem);
-        self.folder.names(LOST).unwrap_or_default().iter().filter(|name| name.starts_with(&own)).count()
+        let prefix = format!("{:04}-", self.problem);
+        self.folder.names(LOST).unwrap_or_default().iter().filter(|name| name.starts_with(&prefix)).count()
     }
 }
 

@@ -147,10 +147,10 @@ impl JobFolder {
                 .find(|(n, _)| n == name)
                 .map_or_else(|| "nothing".to_owned(), |(_, value)| value.clone())
         };
-        let own = &self.header.identity;
-        let names = own.iter().chain(identity).map(|(name, _)| name);
+        let stored_identity = &self.header.identity;
+        let names = stored_identity.iter().chain(identity).map(|(name, _)| name);
         for name in names {
-            let (stored, given) = (find(own, name), find(identity, name));
+            let (stored, given) = (find(stored_identity, name), find(identity, name));
             if stored != given {
                 return Err(CalibrationError::Setup(format!(
                     "{} belongs to another fit: {name} is {stored} there and {given} here. Use the same \

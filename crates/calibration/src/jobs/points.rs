@@ -6,7 +6,7 @@ use crate::error::CalibrationError;
 use crate::loaded::calibration::Calibration;
 use crate::problem::definition::Problem;
 use crate::problem::fingerprint::hash_of_bytes;
-use dfo::{Answer, Failure, FailureKind, Outcome, Query, RobustLoss, Want};
+use dfo::{Answer, EvaluationKind, Failure, FailureKind, Outcome, Query, RobustLoss};
 use fmi::Fmu;
 use ode::Stats;
 use serde::{Deserialize, Serialize};
@@ -235,8 +235,8 @@ impl JobFolder {
         is_over: &AtomicBool,
     ) -> Result<Option<(Answer, Stats)>, CalibrationError> {
         let k = point.name.problem;
-        let (_, calibration, loss) = match loaded.take_if(|(known, ..)| *known == k) {
-            Some(known) => loaded.insert(known),
+        let (_, calibration, loss) = match loaded.take_if(|(position, ..)| *position == k) {
+            Some(kept) => loaded.insert(kept),
             None => {
                 let (calibration, loss) = self.problem(k, fmu)?;
                 loaded.insert((k, calibration, loss))
@@ -248,7 +248,7 @@ impl JobFolder {
         let answer = std::thread::scope(|scope| {
             let is_cancelled = &is_cancelled;
             scope.spawn(move || self.show_life(place, receiver, is_over, is_cancelled));
-            let query = Query::new(0, 0, point.point.cutoff).want(Want::Residuals);
+            let query = Query::new(0, 0, point.point.cutoff).kind(EvaluationKind::Residuals);
             let query = query.cancellable(is_cancelled, None);
             let answer = calibration.answer_counted(&point.point.x, &query, *loss, &mut stats);
             drop(sender);
@@ -309,8 +309,8 @@ impl JobFolder {
     /// Moves a claim to the lost claims. Returns false if it has ended in another way.
     pub(super) fn lose(&self, claim: &str, name: &PointName) -> Result<bool, CalibrationError> {
         let answer = name.answer();
-        let own = format!("{answer}.");
-        let n = self.names(LOST)?.iter().filter(|lost| lost.starts_with(&own)).count();
-        self.move_file(&self.file(CLAIMS, claim), &self.file(LOST, &format!("{own}{n}")))
+        let prefix = format!("{answer}.");
+        let n = self.names(LOST)?.iter().filter(|lost| lost.starts_with(&prefix)).count();
+        self.move_file(&self.file(CLAIMS, claim), &self.file(LOST, &format!("{prefix}{n}")))
     }
 }

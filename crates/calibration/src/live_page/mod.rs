@@ -75,8 +75,8 @@ impl LivePage {
 
     /// True after the user has pressed the button that ends the fit. Use it in the interrupt check of the
     /// fit's context.
-    pub fn is_stop_asked(&self) -> bool {
-        self.page.is_stop_asked()
+    pub fn is_stop_requested(&self) -> bool {
+        self.page.is_stop_requested()
     }
 
     /// True after the reader has closed the page.
@@ -96,7 +96,7 @@ impl LivePage {
         fit: &Fit,
         context: &RunContext<'_>,
     ) -> Result<(), CalibrationError> {
-        let report = match self.is_stop_asked() {
+        let report = match self.is_stop_requested() {
             true => calibration.report_page_with(fit, &self.page.curves()),
             false => calibration.report_page(fit, context)?,
         };

@@ -34,7 +34,7 @@ pub(super) struct Page {
     subject: LiveSubject,
     live: Arc<LiveFit>,
     phase: Arc<CurrentPhase>,
-    is_stop_asked: AtomicBool,
+    is_stop_requested: AtomicBool,
     drawn: Mutex<Option<Drawn>>,
     report: Mutex<Option<Arc<str>>>,
     /// True if the report was requested.
@@ -70,7 +70,7 @@ impl Page {
             subject: LiveSubject::new(calibration),
             live: Arc::default(),
             phase: Arc::default(),
-            is_stop_asked: AtomicBool::new(false),
+            is_stop_requested: AtomicBool::new(false),
             drawn: Mutex::default(),
             report: Mutex::default(),
             is_report_read: AtomicBool::new(false),
@@ -89,8 +89,8 @@ impl Page {
         &self.phase
     }
 
-    pub(super) fn is_stop_asked(&self) -> bool {
-        self.is_stop_asked.load(Ordering::Relaxed)
+    pub(super) fn is_stop_requested(&self) -> bool {
+        self.is_stop_requested.load(Ordering::Relaxed)
     }
 
     /// True if a reader has recently requested the running fit, but not yet its end.
@@ -109,15 +109,15 @@ impl Page {
     }
 
     /// Answers a request received at the address of the server.
-    pub(super) fn answer(&self, request: &Request, own: SocketAddr) -> Response {
+    pub(super) fn answer(&self, request: &Request, address: SocketAddr) -> Response {
         // Another host name for this address belongs to a site that tries to reach the server through its
         // visitors' browsers.
-        let is_own = |host: &str| {
-            [own.to_string(), format!("localhost:{}", own.port())]
+        let is_this_server = |host: &str| {
+            [address.to_string(), format!("localhost:{}", address.port())]
                 .iter()
-                .any(|own| host.eq_ignore_ascii_case(own))
+                .any(|name| host.eq_ignore_ascii_case(name))
         };
-        if !is_own(&request.host) {
+        if !is_this_server(&request.host) {
             return Status::Forbidden.into();
         }
         let path = request.path.strip_prefix('/').and_then(|path| path.split_once('/'));
@@ -129,11 +129,11 @@ impl Page {
             ("state", "GET" | "HEAD") => self.state(),
             ("stop" | "close", "POST") => {
                 let from = request.origin.as_ref();
-                if from.is_some_and(|origin| !origin.strip_prefix("http://").is_some_and(is_own)) {
+                if from.is_some_and(|origin| !origin.strip_prefix("http://").is_some_and(is_this_server)) {
                     return Status::Forbidden.into();
                 }
                 if path == "stop" {
-                    self.is_stop_asked.store(true, Ordering::Relaxed);
+                    self.is_stop_requested.store(true, Ordering::Relaxed);
                     return Status::SeePage.into();
                 }
                 match *lock(&self.report) {
@@ -179,7 +179,7 @@ impl Page {
         }
         let began = Instant::now();
         let phase = self.phase.get().name();
-        let text: Arc<str> = match self.is_stop_asked() {
+        let text: Arc<str> = match self.is_stop_requested() {
             true => self.subject.state(&self.live, &format!("ending ({phase})")),
             false => self.subject.state(&self.live, phase),
         }

@@ -103,10 +103,10 @@ impl Server {
     pub(super) fn start(page: Arc<Page>) -> io::Result<Self> {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?;
         let end = Arc::new(End { address: listener.local_addr()?, is_closed: AtomicBool::new(false) });
-        let own = Arc::clone(&end);
+        let end_of_listener = Arc::clone(&end);
         thread::Builder::new()
             .name("fmufit-watch".to_owned())
-            .spawn(move || listen(&listener, &own, &page))?;
+            .spawn(move || listen(&listener, &end_of_listener, &page))?;
         Ok(Self { end })
     }
 
@@ -160,12 +160,12 @@ fn refuse(mut stream: TcpStream) {
 }
 
 /// Answers the request of a connection. Returns true if it is the last one.
-fn serve(mut stream: TcpStream, counted: &Counted, own: SocketAddr, page: &Page) -> bool {
+fn serve(mut stream: TcpStream, counted: &Counted, address: SocketAddr, page: &Page) -> bool {
     let read = request::read(&mut stream);
     counted.has_come();
     let (response, is_head) = match read {
         Ok(None) => return false,
-        Ok(Some(request)) => (page.answer(&request, own), request.method == "HEAD"),
+        Ok(Some(request)) => (page.answer(&request, address), request.method == "HEAD"),
         Err(status) => (Response::from(status), false),
     };
     // The client may have disconnected.
@@ -188,16 +188,16 @@ mod tests {
         let (open, now) = (Arc::new(Connections::default()), Instant::now());
         let mut held: Vec<(TcpStream, TcpStream, Counted)> = (0..32)
             .map(|id| {
-                let (client, own) = pair();
-                let counted = Connections::add(&open, &own, id, now).unwrap();
-                (client, own, counted)
+                let (client, connection) = pair();
+                let counted = Connections::add(&open, &connection, id, now).unwrap();
+                (client, connection, counted)
             })
             .collect();
         held[0].2.has_come();
-        let (_client, own) = pair();
-        assert!(Connections::add(&open, &own, 32, now + MOST_SILENCE / 2).is_none());
+        let (_client, connection) = pair();
+        assert!(Connections::add(&open, &connection, 32, now + MOST_SILENCE / 2).is_none());
         // The first connection has sent its request, so the second one is closed.
-        let _counted = Connections::add(&open, &own, 33, now + MOST_SILENCE).unwrap();
+        let _counted = Connections::add(&open, &connection, 33, now + MOST_SILENCE).unwrap();
         assert_eq!(held[1].0.read(&mut [0]).unwrap(), 0);
         held[0].1.set_nonblocking(true).unwrap();
         assert!(held[0].1.read(&mut [0]).is_err());

@@ -67,9 +67,9 @@ impl Budget {
 
     /// Deducts this number of simulations from the budget if enough are left; returns true on success.
     pub(crate) fn take(&mut self, simulations: f64) -> bool {
-        let has_room = simulations <= self.left;
-        self.left -= if has_room { simulations } else { 0.0 };
-        has_room
+        let fits = simulations <= self.left;
+        self.left -= if fits { simulations } else { 0.0 };
+        fits
     }
 
     /// Deducts this number of simulations if enough are left; otherwise records the skipped item. Returns

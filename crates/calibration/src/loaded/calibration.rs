@@ -17,7 +17,7 @@ use crate::problem::residual_layout::ResidualLayout;
 use crate::problem::settings::SimulationSettings;
 use crate::problem::warning::{SETUP_LOG_TARGET, SetupWarning};
 use base::{Number, RunContext};
-use dfo::{Answer, Checkpoint, Failure, Objective, Outcome, Query, RobustLoss, Want};
+use dfo::{Answer, Checkpoint, EvaluationKind, Failure, Objective, Outcome, Query, RobustLoss};
 use fmi::worker::{Held, Isolation};
 use fmi::{CancelRequest, FmiError, Fmu, Trajectory};
 use log::Level;
@@ -404,7 +404,7 @@ impl Calibration {
         let before = stats.right_hand_sides;
         let ended = || query.cancelled();
         answer.residuals.resize(self.n_residuals(), 0.0);
-        let rule = CostRule { loss, cutoff: query.cutoff, context: RunContext::new().asking(&ended) };
+        let rule = CostRule { loss, cutoff: query.cutoff, context: RunContext::new().polling(&ended) };
         answer.outcome = match self.evaluate_into(x, rule, &mut answer.residuals, stats) {
             Ok(cost) => Outcome::Value(cost),
             Err(CostFailure::Above) => Outcome::Above(query.cutoff),
@@ -417,7 +417,7 @@ impl Calibration {
                 Outcome::Failed(Failure { kind, message: reason })
             }
         };
-        if query.want == Want::Cost {
+        if query.kind == EvaluationKind::Cost {
             answer.residuals.clear();
         }
         answer.work = stats.right_hand_sides - before;

@@ -179,9 +179,9 @@ impl Calibration {
     pub(crate) fn step_in_use(&self) -> Option<f64> {
         let plan = self.evaluator().simulations[0].pool.plan();
         let given = self.problem().settings.run.step_size;
-        let own = || self.fmu().description().default_experiment.step_size;
+        let of_experiment = || self.fmu().description().default_experiment.step_size;
         match self.has_fixed_step() {
-            true => given.or_else(own),
+            true => given.or_else(of_experiment),
             false => plan.communication_step(),
         }
     }

@@ -76,9 +76,9 @@ impl Calibration {
     /// Returns the index of the experiment with this name.
     pub(crate) fn experiment_index(&self, name: &str) -> Result<usize, CalibrationError> {
         let names = self.problem().experiment_names();
-        names.iter().position(|known| known == name).ok_or_else(|| {
-            let known = names.join(", ");
-            CalibrationError::Setup(format!("experiment '{name}' not found; available: {known}"))
+        names.iter().position(|listed| listed == name).ok_or_else(|| {
+            let available = names.join(", ");
+            CalibrationError::Setup(format!("experiment '{name}' not found; available: {available}"))
         })
     }
 

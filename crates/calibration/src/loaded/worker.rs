@@ -41,8 +41,8 @@ struct Server {
 impl Server {
     /// Opens the model of a file and checks its content.
     fn open(&mut self, model: ModelFile, options: &OpenOptions) -> Result<Fmu, CalibrationError> {
-        if let Some((known, session)) = &self.model
-            && *known == model
+        if let Some((loaded, session)) = &self.model
+            && *loaded == model
             && session.fmu().options() == options
         {
             return Ok(session.fmu().clone());

@@ -108,21 +108,21 @@ fn convert_weights(
     conversion: UnitConversion,
 ) -> Result<(), CalibrationError> {
     for k in 0..experiment.outputs.len() {
-        let Measured { variable, column: own, weight } = &experiment.outputs[k];
-        if weight.states_noise() && experiment.data.full_name(own) == Some(column) {
+        let Measured { variable, column: column_name, weight } = &experiment.outputs[k];
+        if weight.states_noise() && experiment.data.full_name(column_name) == Some(column) {
             if let Some(model) = weight.error_model() {
                 let model = converted_model(model, variable, column, conversion)?;
                 experiment.outputs[k].weight = Sigma::Model(model).into();
                 continue;
             }
-            let weights = weights_of_rows(experiment, variable, own, weight)?;
-            let is_known = weight.is_known_noise();
-            if is_mask(&weights) && !is_known {
+            let weights = weights_of_rows(experiment, variable, column_name, weight)?;
+            let is_noise_known = weight.is_known_noise();
+            if is_mask(&weights) && !is_noise_known {
                 continue;
             }
             let factor = conversion.apply_to_difference(1.0).abs();
             let converted: Vec<f64> = weights.iter().map(|weight| weight / factor).collect();
-            experiment.outputs[k].weight = match is_known {
+            experiment.outputs[k].weight = match is_noise_known {
                 true => Sigma::of_weights(&converted).into(),
                 false => Weight::Rows(converted.into()),
             };

@@ -197,9 +197,10 @@ impl Problem {
         for parameter in &self.parameters {
             let given = parameter.given_experiments();
             if let Some(unknown) = given.into_iter().flatten().find(|name| !names.contains(name)) {
-                let (name, known) = (parameter.name().to_owned(), names.join(", "));
-                let message =
-                    format!("acts in the experiment '{unknown}', which does not exist; available: {known}");
+                let (name, available) = (parameter.name().to_owned(), names.join(", "));
+                let message = format!(
+                    "acts in the experiment '{unknown}', which does not exist; available: {available}"
+                );
                 return Err(CalibrationError::Parameter { name, message });
             }
             if given.is_some_and(<[String]>::is_empty) {
@@ -238,12 +239,12 @@ fn check_units_of_tie(
     tie: Tie<'_>,
     description: &ModelDescription,
 ) -> Result<(), CalibrationError> {
-    let (Some(own), Some(of_other)) = (parameter.unit(description), other.unit(description)) else {
+    let (Some(unit), Some(other_unit)) = (parameter.unit(description), other.unit(description)) else {
         return Ok(());
     };
     let is_equal = tie.factor == 1.0 && tie.offset == 0.0;
-    let is_like = own == of_other
-        || match UnitConversion::between(own, of_other) {
+    let is_like = unit == other_unit
+        || match UnitConversion::between(unit, other_unit) {
             Ok(conversion) => conversion.is_identity() || !is_equal,
             Err(reason) => !matches!(reason, UnitError::Dimension { .. }),
         };
@@ -252,7 +253,7 @@ fn check_units_of_tie(
     }
     let (name, to) = (parameter.name().to_owned(), &tie.to);
     let message = format!(
-        "is in '{own}', but '{to}', to which it is tied, is in '{of_other}'. Set across_units = true if the factor {} converts one \
+        "is in '{unit}', but '{to}', to which it is tied, is in '{other_unit}'. Set across_units = true if the factor {} converts one \
          to the other",
         Number(tie.factor)
     );

@@ -17,10 +17,10 @@ impl Problem {
         let Self { model, parameters, settings, .. } = self.clone();
         let mut document = serde_json::to_value(Self { model, parameters, experiments, settings })?;
         for (k, (experiment, name)) in self.experiments.iter().zip(self.experiment_names()).enumerate() {
-            let own = &mut document["experiments"][k];
-            own["name"] = name.into();
-            own["data"] = serde_json::to_value(experiment.data.summary())?;
-            for output in own["outputs"].as_array_mut().into_iter().flatten() {
+            let described = &mut document["experiments"][k];
+            described["name"] = name.into();
+            described["data"] = serde_json::to_value(experiment.data.summary())?;
+            for output in described["outputs"].as_array_mut().into_iter().flatten() {
                 if let Some(n) = output["weight"]["Rows"].as_array().map(Vec::len) {
                     output["weight"] = json!({ "Rows": n });
                 }

@@ -203,7 +203,7 @@ impl FromStr for ErrorModel {
                 before.or_else(|| term.strip_prefix(y).and_then(|rest| rest.strip_prefix('*')))
             };
             let (place, coefficient) = match factor("abs(y)").or_else(|| factor("y")) {
-                Some(own) => (&mut proportional, own),
+                Some(coefficient) => (&mut proportional, coefficient),
                 None => (&mut constant, term),
             };
             let coefficient = Coefficient::parse(coefficient).filter(|_| place.is_none());
@@ -214,7 +214,7 @@ impl FromStr for ErrorModel {
             constant: constant.unwrap_or_else(zero),
             proportional: proportional.clone().unwrap_or_else(zero),
         };
-        let is_zero = [&found.constant, &found.proportional].iter().all(|own| own.stated() == Some(0.0));
+        let is_zero = [&found.constant, &found.proportional].iter().all(|term| term.stated() == Some(0.0));
         let has_same_names = found.constant.name().is_some_and(|a| found.proportional.name() == Some(a));
         // A name alone is a column.
         let is_column = proportional.is_none() && found.constant.stated().is_none();

@@ -245,9 +245,9 @@ impl OutputScale {
     /// # Errors
     /// Returns an error if no scale has this name.
     pub fn named(name: &str) -> Result<Self, CalibrationError> {
-        let known = [Self::Range, Self::Mean, Self::Sd];
-        known.into_iter().find(|scale| scale.name().eq_ignore_ascii_case(name)).ok_or_else(|| {
-            let known = known.map(|scale| format!("'{}'", scale.name())).join(", ");
+        let scales = [Self::Range, Self::Mean, Self::Sd];
+        scales.into_iter().find(|scale| scale.name().eq_ignore_ascii_case(name)).ok_or_else(|| {
+            let listed = scales.map(|scale| format!("'{}'", scale.name())).join(", ");
             CalibrationError::Setup(format!(
                 "weights = '{name}' is unknown; expected {known}, or numbers for the outputs"
             ))
@@ -431,8 +431,8 @@ impl Experiment {
         let source = InputSource::Function(function);
         // An input of a stored problem has lost its function.
         let lost = InputSource::Function(SignalFunction::default());
-        match self.inputs.iter_mut().find(|(known, source)| *known == variable && *source == lost) {
-            Some((_, known)) => *known = source,
+        match self.inputs.iter_mut().find(|(name, source)| *name == variable && *source == lost) {
+            Some((_, entry)) => *entry = source,
             None => self.inputs.push((variable, source)),
         }
         self
@@ -487,7 +487,8 @@ impl Experiment {
         let given: HashSet<&String> = fitted.chain(others).collect();
         let references: HashSet<_> = given.iter().filter_map(|name| reference(name)).collect();
         let is_given = |name: &String| {
-            given.contains(name) || reference(name).is_some_and(|own| references.contains(&own))
+            given.contains(name)
+                || reference(name).is_some_and(|of_variable| references.contains(&of_variable))
         };
         let values = set.values(description)?;
         let values: Vec<_> = values.into_iter().filter(|(name, _)| !is_given(name)).collect();
@@ -604,8 +605,8 @@ impl Experiment {
                     _ => continue,
                 }
             };
-            let own = Some((declared.kind, declared.value_reference));
-            let is_fitted = parameters.iter().any(|p| reference(p) == own);
+            let identity = Some((declared.kind, declared.value_reference));
+            let is_fitted = parameters.iter().any(|p| reference(p) == identity);
             let what = match declared.causality {
                 Causality::Parameter if is_fitted => "a parameter that is fitted",
                 Causality::Parameter | Causality::StructuralParameter => "a parameter",

@@ -107,13 +107,13 @@ impl Experiment {
                 Value::Text(text) => Weight::of_sigma(text, column)?,
                 number => Sigma::Constant(number.read(&variable)?).into(),
             };
-            for own in of_output(&mut weights, &outputs, &variable, "sigma")? {
-                if !matches!(own, Weight::Constant(1.0)) {
+            for weight_of_output in of_output(&mut weights, &outputs, &variable, "sigma")? {
+                if !matches!(weight_of_output, Weight::Constant(1.0)) {
                     let message =
                         format!("output '{variable}' has a weight and a sigma. Specify one of them");
                     return Err(RecordError::message(message).into());
                 }
-                *own = sigma.clone();
+                *weight_of_output = sigma.clone();
             }
         }
 
@@ -207,8 +207,8 @@ fn weights(given: &Value, outputs: &[(String, String)]) -> Result<Vec<Weight>, C
             Value::Text(name) => Weight::named(name),
             number => Weight::Constant(number.read(&variable)?),
         };
-        for own in of_output(&mut weights, outputs, &variable, "weight")? {
-            *own = weight.clone();
+        for weight_of_output in of_output(&mut weights, outputs, &variable, "weight")? {
+            *weight_of_output = weight.clone();
         }
     }
     Ok(weights)
@@ -221,13 +221,13 @@ fn of_output<'w>(
     variable: &str,
     field: &str,
 ) -> Result<Vec<&'w mut Weight>, RecordError> {
-    let own = weights.iter_mut().zip(outputs).filter(|(_, (output, _))| output == variable);
-    let own: Vec<&mut Weight> = own.map(|(own, _)| own).collect();
-    if own.is_empty() {
-        let known: Vec<&String> = outputs.iter().map(|(variable, _)| variable).collect();
-        return Err(RecordError::unknown(&format!("output for the {field}"), variable, &known));
+    let matching = weights.iter_mut().zip(outputs).filter(|(_, (output, _))| output == variable);
+    let matching: Vec<&mut Weight> = matching.map(|(matching, _)| matching).collect();
+    if matching.is_empty() {
+        let available: Vec<&String> = outputs.iter().map(|(variable, _)| variable).collect();
+        return Err(RecordError::unknown(&format!("output for the {field}"), variable, &available));
     }
-    Ok(own)
+    Ok(matching)
 }
 
 fn initial_state(value: &Value, state: &str) -> Result<InitialState, CalibrationError> {
@@ -269,7 +269,7 @@ fn model_value(value: &Value, variable: &str) -> Result<fmi::Value, RecordError>
 /// Returns names and values from a record, a list of pairs, or a list of names that are also their values.
 fn pairs(given: &Value, name: &str) -> Result<Vec<(String, Value)>, RecordError> {
     let pair = |item: &Value| match item {
-        Value::Text(own) => Some((own.clone(), item.clone())),
+        Value::Text(name) => Some((name.clone(), item.clone())),
         Value::List(pair) => match &pair[..] {
             [Value::Text(name), value] => Some((name.clone(), value.clone())),
             _ => None,
@@ -291,9 +291,9 @@ fn pairs(given: &Value, name: &str) -> Result<Vec<(String, Value)>, RecordError>
 
 /// Returns names and values, with the values converted to a type.
 fn read_pairs<T: DeserializeOwned>(given: &Value, name: &str) -> Result<Vec<(String, T)>, RecordError> {
-    let read = |(own, value): (String, Value)| {
-        let read = value.read(&format!("{name}: '{own}'"))?;
-        Ok((own, read))
+    let read = |(item, value): (String, Value)| {
+        let read = value.read(&format!("{name}: '{item}'"))?;
+        Ok((item, read))
     };
     pairs(given, name)?.into_iter().map(read).collect()
 }

@@ -37,8 +37,8 @@ pub(crate) fn identity(
     }
     for (k, experiment) in problem.experiments.iter().enumerate() {
         all.push((format!("data of experiment {k}"), experiment.data.hash()));
-        let own = without_objects(experiment, &problem.parameters);
-        all.extend(fields(&format!("experiment {k}"), &own)?);
+        let described = without_objects(experiment, &problem.parameters);
+        all.extend(fields(&format!("experiment {k}"), &described)?);
     }
     Ok(all)
 }
@@ -46,21 +46,21 @@ pub(crate) fn identity(
 /// Returns the parts of the experiment that its costs depend on. Starts and bounds are removed. A function is
 /// replaced by a hash of its values at the times of the recording.
 fn without_objects(experiment: &Experiment, parameters: &[Parameter]) -> Experiment {
-    let mut own = Experiment { data: Default::default(), ..experiment.clone() };
-    own.start_values.retain(|(name, _)| !Experiment::is_start_of_local(name, parameters));
-    for (variable, source) in &mut own.inputs {
+    let mut copy = Experiment { data: Default::default(), ..experiment.clone() };
+    copy.start_values.retain(|(name, _)| !Experiment::is_start_of_local(name, parameters));
+    for (variable, source) in &mut copy.inputs {
         if let InputSource::Function(_) = source {
             let signal = Signal::new(variable, source, &experiment.data);
             let samples = signal.map(|signal| signal.samples(experiment.data.time())).unwrap_or_default();
             *source = InputSource::Column(format!("a function with {}", hash_of_numbers(&samples)));
         }
     }
-    for (state, initial) in &mut own.initial_states {
+    for (state, initial) in &mut copy.initial_states {
         if let InitialState::Fitted(parameter) = initial {
             **parameter = parameter.for_state(state).without_search();
         }
     }
-    own
+    copy
 }
 
 /// Returns the fields of a record that costs depend on, as text.

@@ -126,10 +126,10 @@ impl Signal {
                 let values = data.series(column)?;
                 // Of several rows at one time, the first and the last are the limits from both sides.
                 let time = data.time();
-                let known: Vec<usize> = (0..time.len()).filter(|row| !values[*row].is_nan()).collect();
+                let present: Vec<usize> = (0..time.len()).filter(|row| !values[*row].is_nan()).collect();
                 let is_between =
-                    |k: usize| k > 0 && k + 1 < known.len() && time[known[k - 1]] == time[known[k + 1]];
-                let limits = || (0..known.len()).filter(|k| !is_between(*k)).map(|k| known[k]);
+                    |k: usize| k > 0 && k + 1 < present.len() && time[present[k - 1]] == time[present[k + 1]];
+                let limits = || (0..present.len()).filter(|k| !is_between(*k)).map(|k| present[k]);
                 let rows = || limits().map(|row| (time[row], values[row]));
                 let is_held = matches!(source, InputSource::Held(_));
                 match rows().count() {

@@ -200,18 +200,18 @@ impl CostKind {
     }
 
     /// Computes the outcome from residuals and their sum of squares `sum`. Residuals of a user-defined
-    /// function are written to `own`.
+    /// function are written to `custom_residuals`.
     pub(crate) fn outcome(
         &self,
         layout: &ResidualLayout,
         sum: f64,
         residuals: &[f64],
-        own: &mut Vec<f64>,
+        custom_residuals: &mut Vec<f64>,
     ) -> Outcome {
         match self {
             Self::SumOfSquares => Outcome::Value(sum),
             Self::Named(named) => Outcome::Value(named.cost(layout, residuals)),
-            Self::Custom(custom) => custom.outcome(layout, residuals, own),
+            Self::Custom(custom) => custom.outcome(layout, residuals, custom_residuals),
         }
     }
 }
@@ -265,7 +265,12 @@ impl NamedCost {
 }
 
 impl CustomCost {
-    fn outcome(&self, layout: &ResidualLayout, residuals: &[f64], own: &mut Vec<f64>) -> Outcome {
+    fn outcome(
+        &self,
+        layout: &ResidualLayout,
+        residuals: &[f64],
+        custom_residuals: &mut Vec<f64>,
+    ) -> Outcome {
         let values = |o: &OutputResiduals| (o.simulated_values(residuals), o.measured_values());
         let values: Vec<(Vec<f64>, Vec<f64>)> = layout.outputs.iter().map(values).collect();
         let compared: Vec<Compared<'_>> = (layout.outputs.iter().zip(&values))
@@ -279,8 +284,8 @@ impl CustomCost {
             .collect();
         match (self.function)(&compared) {
             Ok(returned) if self.gives_residuals => {
-                *own = returned;
-                dfo::RobustLoss::default().cost(own, f64::INFINITY)
+                *custom_residuals = returned;
+                dfo::RobustLoss::default().cost(custom_residuals, f64::INFINITY)
             }
             Ok(returned) => Outcome::Value(returned.first().copied().unwrap_or(f64::NAN)),
             Err(CustomFailure::Failed(message)) => Outcome::failed(message),
@@ -344,11 +349,11 @@ mod tests {
             assert_eq!(compared[1].simulated, [1.5, 1.0, 1.5]);
             Ok(compared.iter().flat_map(|c| c.simulated.iter().zip(c.measured).map(|(s, m)| s + m)).collect())
         });
-        let mut own = Vec::new();
+        let mut custom_residuals = Vec::new();
         let kind = CostKind::Custom(custom);
         let r = [1.0, -2.0, 3.0, 0.0, -1.0, 2.0, 4.0];
-        let outcome = kind.outcome(&layout(), 35.0, &r, &mut own);
-        assert_eq!(own, [1.0, 0.0, 1.5, 2.0, 3.5, 2.0, 6.0]);
+        let outcome = kind.outcome(&layout(), 35.0, &r, &mut custom_residuals);
+        assert_eq!(custom_residuals, [1.0, 0.0, 1.5, 2.0, 3.5, 2.0, 6.0]);
         assert_eq!(outcome, Outcome::Value(1.0 + 2.25 + 4.0 + 12.25 + 4.0 + 36.0));
         assert!(kind.has_residuals() && !kind.is_sum_of_squares());
     }

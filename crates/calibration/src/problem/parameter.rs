@@ -425,7 +425,7 @@ impl Parameter {
     }
 
     /// Returns the prior of the parameter, if it has one.
-    pub fn known_prior(&self) -> Option<&Prior> {
+    pub fn stated_prior(&self) -> Option<&Prior> {
         self.prior.as_ref()
     }
 

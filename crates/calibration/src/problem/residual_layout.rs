@@ -125,9 +125,9 @@ impl ResidualLayout {
     /// Converts residuals to the weights of this layout from the weights of another layout of the same
     /// measurements.
     pub(crate) fn reweighed(&self, residuals: &[f64], from: &Self) -> Vec<f64> {
-        let mut own = residuals.to_vec();
-        self.reweigh(&mut own, from);
-        own
+        let mut reweighed_residuals = residuals.to_vec();
+        self.reweigh(&mut reweighed_residuals, from);
+        reweighed_residuals
     }
 
     /// Converts residuals to the weights of this layout in place.

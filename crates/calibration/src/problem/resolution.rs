@@ -84,11 +84,11 @@ pub(crate) fn check_targets(
                 let is_anywhere = experiments.iter().any(|e| e.shifts(variable));
                 if let Some(k) = missing.filter(|_| parameter.is_local() || !is_anywhere) {
                     let of = if experiments.len() > 1 { format!(" of {}", names[k]) } else { String::new() };
-                    let known = experiments[k].shifted_names().collect::<Vec<_>>().join(", ");
+                    let available = experiments[k].shifted_names().collect::<Vec<_>>().join(", ");
                     return bad(
                         parameter,
                         format!(
-                            "is the {what} of '{variable}', which is not an output or input{of} with a column; available: {known}"
+                            "is the {what} of '{variable}', which is not an output or input{of} with a column; available: {available}"
                         ),
                     );
                 }
@@ -129,12 +129,12 @@ pub(crate) fn check_names(
             ));
         }
         // Another check reports variables that do not exist.
-        let is_known = |name: &str| description.variable(name).is_some();
+        let is_declared = |name: &str| description.variable(name).is_some();
         let same = |other: &&Measured| {
             column.is_some()
                 && full(&other.column) == column
                 && other.variable != output.variable
-                && [&other.variable, variable].iter().all(|name| is_known(name))
+                && [&other.variable, variable].iter().all(|name| is_declared(name))
         };
         if let Some(other) = experiment.outputs[..i].iter().find(same) {
             return setup(format!(
@@ -145,9 +145,9 @@ pub(crate) fn check_names(
     }
     for (i, (variable, delay)) in experiment.delays.iter().enumerate() {
         if !experiment.shifts(variable) {
-            let known = experiment.shifted_names().collect::<Vec<_>>().join(", ");
+            let available = experiment.shifted_names().collect::<Vec<_>>().join(", ");
             return setup(format!(
-                "delays: '{variable}' is not an output or input with a column; available: {known}"
+                "delays: '{variable}' is not an output or input with a column; available: {available}"
             ));
         }
         if !delay.is_finite() {
@@ -205,8 +205,8 @@ fn check_same_unit(
 ) -> Result<(), CalibrationError> {
     let unit = |name: &str| description.variable(name)?.unit.as_deref();
     match (unit(variable), unit(output)) {
-        (Some(own), Some(other)) if own != other => Err(CalibrationError::Setup(format!(
-            "initial state '{variable}' (in {own}) is 'measured:{output}', but '{output}' is in {other}. Use a number or a parameter"
+        (Some(unit), Some(other)) if unit != other => Err(CalibrationError::Setup(format!(
+            "initial state '{variable}' (in {unit}) is 'measured:{output}', but '{output}' is in {other}. Use a number or a parameter"
         ))),
         _ => Ok(()),
     }
@@ -215,11 +215,11 @@ fn check_same_unit(
 /// Rejects names that are not states of the model, as far as the model description identifies states.
 fn check_state(name: &str, description: &ModelDescription) -> Result<(), CalibrationError> {
     let states = states(description);
-    let is_known = states.iter().any(|state| is_same(description, state, name))
+    let is_state = states.iter().any(|state| is_same(description, state, name))
         || states
             .iter()
             .any(|state| name.strip_prefix(state.as_str()).is_some_and(|rest| rest.starts_with('[')));
-    if states.is_empty() || is_known || description.variable(name).is_none() {
+    if states.is_empty() || is_state || description.variable(name).is_none() {
         // Planning the simulation rejects an unknown name and suggests the nearest ones.
         return Ok(());
     }

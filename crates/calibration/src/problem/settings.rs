@@ -4,7 +4,7 @@ use crate::data::Unit;
 use crate::error::CalibrationError;
 #[cfg(feature = "schema")]
 use crate::problem::schema;
-use dfo::{Record, RecordError, Value, read_known, read_part};
+use dfo::{Record, RecordError, Value, read_part, read_strict};
 use fmi::worker::{Isolation, WorkerLimits};
 use fmi::{OpenOptions, RunSettings};
 use serde::{Deserialize, Serialize, Serializer};
@@ -65,7 +65,7 @@ impl SimulationSettings {
         // The record is read in two parts so that errors name their fields. Unknown names are
         // rejected only here, so that a fit saved by another version can be loaded.
         let (run, others) = read_part(record, SETTING)?;
-        Ok(Self { run, ..read_known(&others, SETTING)? })
+        Ok(Self { run, ..read_strict(&others, SETTING)? })
     }
 
     /// Returns the options for opening the model.
@@ -85,7 +85,7 @@ impl SimulationSettings {
         }
         let defined = &fmu.description().units;
         for (variable, unit) in &self.units {
-            if !defined.iter().any(|known| known.name == *unit) {
+            if !defined.iter().any(|defined_unit| defined_unit.name == *unit) {
                 Unit::parse(unit)
                     .map_err(|error| CalibrationError::Setup(format!("units: '{variable}': {error}")))?;
             }
@@ -119,14 +119,14 @@ impl Serialize for SimulationSettings {
         let Ok(Value::Record(mut fields)) = Value::of(run) else {
             return Err(serde::ser::Error::custom("the settings of a run are not a record"));
         };
-        let own = [
+        let others = [
             ("isolation", Value::of(isolation)),
             ("memory_limit", Value::of(memory_limit)),
             ("sandbox", Value::of(sandbox)),
             ("max_description_bytes", Value::of(max_description_bytes)),
             ("units", Value::of(units)),
         ];
-        for (name, value) in own {
+        for (name, value) in others {
             fields.insert(name.to_owned(), value.map_err(serde::ser::Error::custom)?);
         }
         fields.serialize(to)

@@ -125,7 +125,7 @@ impl Calibration {
                 }
             };
             let experiment = &self.problem().experiments[k];
-            let own = layout.outputs.iter().filter(|series| series.experiment == k);
+            let of_experiment = layout.outputs.iter().filter(|series| series.experiment == k);
             let input = |(variable, source): &(String, InputSource)| {
                 let (times, values) =
                     (experiment.data.time(), experiment.data.column(source.column()?).ok()?);
@@ -140,7 +140,7 @@ impl Calibration {
                 name,
                 first_date: experiment.data.first_date().map(str::to_owned),
                 windows: experiment.windows.clone(),
-                outputs: own.map(output).collect(),
+                outputs: of_experiment.map(output).collect(),
                 inputs,
             })
         };

@@ -4,7 +4,7 @@
 //! page.
 
 use super::number::rounded;
-use crate::findings::shown_text::visible_line;
+use crate::findings::display_text::visible_line;
 use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
@@ -98,9 +98,9 @@ pub(super) fn draw(panels: &[Panel], x_label: &str) -> Option<String> {
         for (k, panel) in panels.iter().enumerate() {
             let is_last = k + 1 == panels.len();
             let height = (panel.height + if is_last { BELOW } else { 0 }) * FINE;
-            let (own, others) = rest.split_vertically(height as i32);
+            let (panel_area, others) = rest.split_vertically(height as i32);
             rest = others;
-            panel.draw(&own, x.clone(), is_last.then_some(x_label)).ok()?;
+            panel.draw(&panel_area, x.clone(), is_last.then_some(x_label)).ok()?;
         }
         area.present().ok()?;
     }

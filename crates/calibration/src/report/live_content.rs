@@ -182,9 +182,10 @@ impl LiveSubject {
                 values,
             };
             let simulated = |residuals: &[f64]| {
-                let own = residuals.get(output.range.clone()).unwrap_or_default();
+                let residuals_of_output = residuals.get(output.range.clone()).unwrap_or_default();
                 signal(
-                    own.iter()
+                    residuals_of_output
+                        .iter()
                         .zip(&output.measured)
                         .map(|(r, measured)| output.value(measured + r))
                         .collect(),

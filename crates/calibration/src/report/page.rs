@@ -255,11 +255,11 @@ fn settings(calibration: &Calibration, fit: &Fit) -> Vec<Fact> {
     facts.extend(tolerance.map(|tolerance| ("relative tolerance", tolerance)));
     let limit = settings.run.timeout.map(|limit| Number(limit.as_secs_f64()).to_string());
     facts.extend(limit.map(|limit| ("time limit of a simulation in s", limit)));
-    let mut reported = setup::options(&fit.options, &TOLD_BESIDE);
+    let mut reported = setup::options(&fit.options, &REPORTED_ELSEWHERE);
     for (k, stage) in fit.stages.iter().enumerate() {
-        let own = setup::options(&stage.options, &TOLD_BESIDE).into_iter();
-        let own = own.map(|(name, value)| format!("{name} {value}")).collect::<Vec<_>>().join("; ");
-        reported.push((format!("options of stage {}", k + 1), own));
+        let options = setup::options(&stage.options, &REPORTED_ELSEWHERE).into_iter();
+        let options = options.map(|(name, value)| format!("{name} {value}")).collect::<Vec<_>>().join("; ");
+        reported.push((format!("options of stage {}", k + 1), options));
     }
     reported.extend(setup::settings(settings, &["solver", "relative_tolerance", "timeout"]));
     let reported = reported.into_iter().map(|(name, value)| Fact { name: name.into(), value });
@@ -267,7 +267,7 @@ fn settings(calibration: &Calibration, fit: &Fit) -> Vec<Fact> {
 }
 
 /// Options of a fit that appear in other lines.
-const TOLD_BESIDE: [&str; 6] = ["method", "objective", "loss", "f_scale", "seed", "workers"];
+const REPORTED_ELSEWHERE: [&str; 6] = ["method", "objective", "loss", "f_scale", "seed", "workers"];
 
 /// Returns the parts of each experiment.
 fn experiments(calibration: &Calibration) -> Vec<Setup> {
@@ -294,6 +294,6 @@ fn origin(calibration: &Calibration) -> Vec<Fact> {
         ("GUID", Some(description.guid.clone())),
         ("fmufit", Some(env!("CARGO_PKG_VERSION").to_owned())),
     ];
-    let known = facts.into_iter().filter_map(|(name, value)| Some((name, value?)));
-    known.filter(|(_, value)| !value.is_empty()).map(fact).collect()
+    let stated = facts.into_iter().filter_map(|(name, value)| Some((name, value?)));
+    stated.filter(|(_, value)| !value.is_empty()).map(fact).collect()
 }

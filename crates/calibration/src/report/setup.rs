@@ -27,9 +27,9 @@ pub(super) fn settings(settings: &SimulationSettings, but: &[&str]) -> Vec<Descr
 }
 
 /// Returns the values of a record that differ from another record.
-fn others(own: &Record, usual: &Record, but: &[&str]) -> Vec<Described> {
-    let is_told = |name: &str, value: &Value| !but.contains(&name) && usual.get(name) != Some(value);
-    let reported = own.iter().filter(|(name, value)| is_told(name, value));
+fn others(record: &Record, usual: &Record, but: &[&str]) -> Vec<Described> {
+    let is_listed = |name: &str, value: &Value| !but.contains(&name) && usual.get(name) != Some(value);
+    let reported = record.iter().filter(|(name, value)| is_listed(name, value));
     reported
         .map(|(name, value)| match (name.as_str(), value) {
             ("warm_start", Value::List(points)) => (name.clone(), format!("{} points", points.len())),

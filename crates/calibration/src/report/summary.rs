@@ -1,13 +1,13 @@
 //! Summary of a fit as tables and sentences: the content of `Display`, the notebook element and the report.
 
 use super::number::{rounded, with_error};
+use crate::findings::display_text::digits;
 use crate::findings::finding::{Finding, counts};
-use crate::findings::shown_text::digits;
 use crate::fit::one_stage::Fit;
 use crate::fit::phase::PhaseCost;
 use crate::problem::objective::CostKind;
+use crate::uncertainty::inactive_parameters::BoundSide;
 use crate::uncertainty::result::{KNOWN_NOISE, Uncertainty};
-use crate::uncertainty::stuck_parameters::BoundSide;
 use base::Number;
 use dfo::Termination;
 use serde::Serialize;
@@ -187,7 +187,7 @@ fn relative_errors(fit: &Fit) -> String {
     }
     let errors = &uncertainty.standard_errors;
     let free = (0..fit.x.len()).filter(|i| !uncertainty.held.contains(i));
-    let (known, open): (Vec<usize>, Vec<usize>) = free.partition(|i| errors[*i].is_finite());
+    let (determined, open): (Vec<usize>, Vec<usize>) = free.partition(|i| errors[*i].is_finite());
     let name = |i: usize| &fit.shown_names()[i];
     let relative = |i: usize| errors[i] / fit.x[i].abs();
     let one = |i: usize| match relative(i) < 1.0 {
@@ -195,14 +195,14 @@ fn relative_errors(fit: &Fit) -> String {
         false => format!("{} +- {}", name(i), rounded(errors[i], 2)),
     };
     let by_size = |a: &&usize, b: &&usize| relative(**a).total_cmp(&relative(**b));
-    let of_known = match (known.iter().min_by(by_size), known.iter().max_by(by_size)) {
-        (Some(least), Some(most)) if known.len() > LISTED => {
+    let of_determined = match (determined.iter().min_by(by_size), determined.iter().max_by(by_size)) {
+        (Some(least), Some(most)) if determined.len() > LISTED => {
             Some(format!("from {} to {}", one(*least), one(*most)))
         }
-        (Some(_), _) => Some(known.iter().map(|i| one(*i)).collect::<Vec<_>>().join(", ")),
+        (Some(_), _) => Some(determined.iter().map(|i| one(*i)).collect::<Vec<_>>().join(", ")),
         _ => None,
     };
-    let of_known = of_known.map(|errors| format!(" Standard errors: {errors}."));
+    let of_determined = of_determined.map(|errors| format!(" Standard errors: {errors}."));
     let (unknown, open): (Vec<usize>, Vec<usize>) =
         open.into_iter().partition(|i| uncertainty.has_unknown_error(*i));
     let listed = |what: &str, parameters: &[usize]| match parameters {
@@ -212,7 +212,9 @@ fn relative_errors(fit: &Fit) -> String {
             format!(" {what}: {}.", names.join(", "))
         }
     };
-    of_known.unwrap_or_default() + &listed("Not determined", &open) + &listed("Of unknown error", &unknown)
+    of_determined.unwrap_or_default()
+        + &listed("Not determined", &open)
+        + &listed("Of unknown error", &unknown)
 }
 
 fn bound(fit: &Fit, i: usize, side: BoundSide) -> f64 {
@@ -230,13 +232,13 @@ fn parameter(fit: &Fit, i: usize) -> ParameterRow {
     let side = fit.at_bound.iter().find(|(k, _)| *k == i).map(|(_, side)| *side);
     let uncertainty = fit.uncertainty.as_ref();
     // Unreliable standard errors are not printed.
-    let is_told = uncertainty.is_some_and(|uncertainty| uncertainty.roughness.is_none());
-    let of = |errors: &[f64]| errors.get(i).copied().filter(|_| is_told).unwrap_or(f64::NAN);
+    let has_errors = uncertainty.is_some_and(|uncertainty| uncertainty.roughness.is_none());
+    let of = |errors: &[f64]| errors.get(i).copied().filter(|_| has_errors).unwrap_or(f64::NAN);
     let error = uncertainty.map_or(f64::NAN, |uncertainty| of(&uncertainty.standard_errors));
     let uncorrected = uncertainty.and_then(Uncertainty::uncorrected_errors).map(|errors| of(&errors));
-    let is_known = |error: f64| error.is_finite() && error > 0.0;
+    let is_usable = |error: f64| error.is_finite() && error > 0.0;
     let shown = |error: f64| match error {
-        error if is_known(error) => rounded(error, 2),
+        error if is_usable(error) => rounded(error, 2),
         f64::INFINITY if uncertainty.is_some_and(|uncertainty| uncertainty.has_unknown_error(i)) => {
             "error unknown".to_owned()
         }
@@ -252,14 +254,14 @@ fn parameter(fit: &Fit, i: usize) -> ParameterRow {
     if let Some((_, prior)) = fit.priors.iter().find(|(k, _)| *k == i) {
         // The data and the prior add to the inverse of the variance, unless the parameter is at a bound.
         let share = (prior.slope(value) * error).powi(2);
-        let share = (is_known(error) && share <= 1.0)
+        let share = (is_usable(error) && share <= 1.0)
             .then(|| format!(", {} % of the information", rounded(100.0 * share, 2)));
         remarks.push(format!("{prior}{}", share.unwrap_or_default()));
     }
     if fit.without_effect.contains(&i) {
         remarks.push("without effect".to_owned());
     }
-    let interval = uncertainty.filter(|_| is_known(error)).and_then(|uncertainty| {
+    let interval = uncertainty.filter(|_| is_usable(error)).and_then(|uncertainty| {
         let (lower, upper) = *uncertainty.confidence_intervals(LEVEL).ok()?.get(i)?;
         Some([lower, upper].map(|end| with_error(end, error)))
     });
@@ -269,7 +271,7 @@ fn parameter(fit: &Fit, i: usize) -> ParameterRow {
         value: with_error(value, error),
         error: uncertainty.map_or_else(String::new, |_| shown(error)),
         uncorrected_error: uncorrected
-            .filter(|error| is_known(*error) || error.is_infinite())
+            .filter(|error| is_usable(*error) || error.is_infinite())
             .map_or_else(String::new, shown),
         interval,
         unit: fit.units[i].clone().unwrap_or_default(),

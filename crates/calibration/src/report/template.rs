@@ -2,8 +2,8 @@
 //! contain any characters.
 
 use super::summary::Summary;
+use crate::findings::display_text::visible_line;
 use crate::findings::identifier::FindingId;
-use crate::findings::shown_text::visible_line;
 use minijinja::value::Serde;
 use minijinja::{Environment, Value, context, escape_formatter};
 use serde::Serialize;

@@ -1,8 +1,8 @@
 //! The summary of a fit as plain text.
 
 use super::summary::{OutputRow, ParameterRow, Summary};
+use crate::findings::display_text::visible_line;
 use crate::findings::finding::table;
-use crate::findings::shown_text::visible_line;
 use crate::fit::one_stage::Fit;
 use std::fmt::{self, Write};
 

@@ -183,7 +183,7 @@ impl Center<'_> {
     /// Returns the steps. If the bounds leave no room for one of them, returns steps of the same extent along
     /// the axes of the parameters instead. Along an axis, one side always has room for at least half the
     /// width of the bounds.
-    fn with_room(&self, steps: Vec<Step>) -> Vec<Step> {
+    fn within_bounds(&self, steps: Vec<Step>) -> Vec<Step> {
         if steps.iter().all(|step| self.span(step).is_some()) {
             return steps;
         }
@@ -232,7 +232,7 @@ impl Differences {
             // An explicit request includes a first round that determines the step lengths of the
             // second one.
             None if simulations.budget.is_unlimited() => {
-                match Self::measured(center, center.with_room(first()), simulations)? {
+                match Self::measured(center, center.within_bounds(first()), simulations)? {
                     Ok(found) => Some(found.jacobian(&simulations.context)?),
                     Err(reason) => return Ok(Err(reason)),
                 }
@@ -243,7 +243,7 @@ impl Differences {
             Some(guess) => principal_steps(center, &guess, deviation, noise, &simulations.context)?,
             None => first(),
         };
-        let found = match Self::measured(center, center.with_room(steps), simulations)? {
+        let found = match Self::measured(center, center.within_bounds(steps), simulations)? {
             Ok(found) => found.with_better_steps(center, deviation, noise, simulations)?,
             Err(reason) => return Ok(Err(reason)),
         };
@@ -298,7 +298,7 @@ impl Differences {
         }
         let (places, steps): (Vec<usize>, Vec<Step>) = steps.into_iter().unzip();
         let Ok(better) = Self::measured(center, steps, simulations)? else { return Ok(self) };
-        let mut own = match turned {
+        let mut combined = match turned {
             Some(v) => Self {
                 changes: product(&self.changes, &v, &simulations.context)?,
                 steps: &self.steps * v,
@@ -308,11 +308,11 @@ impl Differences {
             None => self,
         };
         for (place, k) in places.into_iter().enumerate() {
-            own.changes.set_column(k, &better.changes.column(place));
-            own.steps.set_column(k, &better.steps.column(place));
-            own.bends[k] = better.bends[place];
+            combined.changes.set_column(k, &better.changes.column(place));
+            combined.steps.set_column(k, &better.steps.column(place));
+            combined.bends[k] = better.bends[place];
         }
-        Ok(own)
+        Ok(combined)
     }
 
     /// Simulates these steps and returns the changes.

@@ -7,27 +7,27 @@ use crate::loaded::budget::Extra;
 use crate::loaded::calibration::Calibration;
 use crate::loaded::simulations_around::{Point, Simulations};
 use crate::problem::parameter::{Parameter, Scale, Target, inner};
+use crate::uncertainty::covariance::achievable_decrease::At;
 use crate::uncertainty::covariance::joint::JointMatrices;
 use crate::uncertainty::covariance::matrix::Factors;
 use crate::uncertainty::covariance::noise::{Noise, groups};
-use crate::uncertainty::covariance::remaining_decrease::At;
 use crate::uncertainty::diagnostics::lack_of_fit::LackOfFit;
 use crate::uncertainty::diagnostics::prior_check::PriorConflict;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
 use crate::uncertainty::differences::{Center, Differences};
 use crate::uncertainty::group::Group;
+use crate::uncertainty::inactive_parameters::AT;
 use crate::uncertainty::joint_errors::JointErrors;
 use crate::uncertainty::result::{Estimator, Uncertainty, UncertaintyOptions, errors_and_correlation};
 use crate::uncertainty::row_blocks::{along, go_on};
 use crate::uncertainty::scores::{Criterion, Working};
-use crate::uncertainty::stuck_parameters::AT;
 use base::RunContext;
 use dfo::{ParameterKind, RobustLoss};
 use nalgebra::{DMatrix, DVector};
 
 /// Data that are known at a point before its uncertainty is estimated.
 #[derive(Default)]
-pub(crate) struct KnownPoint<'a> {
+pub(crate) struct EvaluatedPoint<'a> {
     /// Residuals before a loss is applied.
     pub(crate) residuals: Option<&'a [f64]>,
     /// Derivatives of the residuals in the user's units, m x n, as a first guess for the differences. The
@@ -118,8 +118,11 @@ impl Estimate<'_> {
         if let Some(model) = &noise.autocorrelated {
             let mut corrected = JointMatrices::new(factors, noise, model);
             corrected.raise_to(&joint);
-            let own: Vec<f64> = degrees(&corrected);
-            of_free.iter_mut().zip(own).for_each(|(degrees, own)| *degrees = degrees.min(own));
+            let uncorrected_degrees: Vec<f64> = degrees(&corrected);
+            of_free
+                .iter_mut()
+                .zip(uncorrected_degrees)
+                .for_each(|(degrees, uncorrected_degrees)| *degrees = degrees.min(uncorrected_degrees));
             uncorrected = Some(self.of_all(&joint.covariance));
             uncorrected_joint = Some(self.joint(&joint, variances, n_outputs));
             (joint, variances) = (corrected, &model.variances);
@@ -128,8 +131,8 @@ impl Estimate<'_> {
             }
         }
         let mut degrees_of_freedom = vec![noise.degrees_of_freedom; n];
-        let known = free.iter().zip(of_free).filter(|(_, degrees)| !degrees.is_nan());
-        known.for_each(|(i, degrees)| degrees_of_freedom[*i] = degrees);
+        let with_degrees = free.iter().zip(of_free).filter(|(_, degrees)| !degrees.is_nan());
+        with_degrees.for_each(|(i, degrees)| degrees_of_freedom[*i] = degrees);
         let curvature = self.of_all(&(&factors.inverse * factors.inverse.transpose()));
         Covariances {
             covariance: self.of_all(&joint.covariance),
@@ -201,18 +204,20 @@ impl Calibration {
         }
         let (held, criterion) = (options.held.clone(), options.criterion());
         let is_noise_known = options.is_noise_known;
-        let known = KnownPoint { f_tol: 1e-4, held, criterion, is_noise_known, ..KnownPoint::default() };
-        self.uncertainty_of(x, options.estimator, &known, &mut simulations)
+        let evaluated_point =
+            EvaluatedPoint { f_tol: 1e-4, held, criterion, is_noise_known, ..EvaluatedPoint::default() };
+        self.uncertainty_of(x, options.estimator, &evaluated_point, &mut simulations)
     }
 
     pub(crate) fn uncertainty_of(
         &self,
         x: &[f64],
         estimator: Estimator,
-        known: &KnownPoint<'_>,
+        evaluated_point: &EvaluatedPoint<'_>,
         simulations: &mut Simulations<'_>,
     ) -> Result<Uncertainty, CalibrationError> {
-        self.uncertainty_and_curvature(x, estimator, known, simulations).map(|(uncertainty, _)| uncertainty)
+        self.uncertainty_and_curvature(x, estimator, evaluated_point, simulations)
+            .map(|(uncertainty, _)| uncertainty)
     }
 
     /// Estimates the uncertainty, and the diagonal of the inverse of half the cost's second derivatives, in
@@ -221,12 +226,12 @@ impl Calibration {
         &self,
         x: &[f64],
         estimator: Estimator,
-        known: &KnownPoint<'_>,
+        evaluated_point: &EvaluatedPoint<'_>,
         simulations: &mut Simulations<'_>,
     ) -> Result<(Uncertainty, Vec<f64>), CalibrationError> {
         let (parameters, layout, before) = (self.parameters(), self.residual_layout(), simulations.n);
-        let (held, free) = self.held_and_free(x, known);
-        let at_center = self.residuals_at_center(x, known, simulations)?;
+        let (held, free) = self.held_and_free(x, evaluated_point);
+        let at_center = self.residuals_at_center(x, evaluated_point, simulations)?;
         let (residuals, accurate) = (&at_center.residuals, &at_center.accurate);
         let sizes: Vec<f64> = free.iter().map(|&i| self.size_of(&parameters[i], x[i])).collect();
         let center = Center {
@@ -241,14 +246,19 @@ impl Calibration {
         let per_unit: Vec<f64> = free.iter().map(|&i| slope(&parameters[i], x[i])).collect();
         let context = &simulations.context.clone();
         let first = |jacobian: &[f64]| of_free(jacobian, x.len(), &free, &per_unit, context);
-        let guess = known.jacobian.filter(|_| known.residuals.is_some()).map(first).transpose()?;
+        let guess = evaluated_point
+            .jacobian
+            .filter(|_| evaluated_point.residuals.is_some())
+            .map(first)
+            .transpose()?;
         let differences = Differences::around(&center, guess, simulations)?
             .map_err(|message| self.failed_at(x, format!("around this point: {message}"), None))?;
         let jacobian = differences.jacobian(context)?;
         let (differences_noise, roughness) = (differences.noise, differences.roughness);
         let starts = self.measured_starts(x);
-        let groups = groups(layout, residuals, estimator, known.criterion, known.is_noise_known);
-        let working = Working::new(known.criterion, residuals, &groups, free.len());
+        let groups =
+            groups(layout, residuals, estimator, evaluated_point.criterion, evaluated_point.is_noise_known);
+        let working = Working::new(evaluated_point.criterion, residuals, &groups, free.len());
         let differences = differences.weighted(&working.roots);
         let factors = &Factors::new(&differences, context)?;
         let starts = self.find_changes_by_starts(starts, x, residuals, simulations)?;
@@ -266,15 +276,18 @@ impl Calibration {
         };
         let covariances = estimate.covariances(layout.outputs.len());
         let is_exact = self.is_within_tolerance(sum_of_squares(residuals));
-        let is_linear = known.criterion.is_sum_of_squares();
+        let is_linear = evaluated_point.criterion.is_sum_of_squares();
         let undetermined = || (0..free.len()).filter(|k| factors.is_undetermined[*k]);
         let is_inert =
             |k: &usize| jacobian.column(*k).norm() * differences.steps.row(*k).amax() <= differences_noise;
         let prior_conflicts = PriorConflict::all(&center, layout, &per_unit, (&jacobian, &working), context)?;
-        let cost = |residuals: &[f64]| known.criterion.cost(layout, residuals);
+        let cost = |residuals: &[f64]| evaluated_point.criterion.cost(layout, residuals);
         let at = At { parameters, x, free: &free, sizes: &sizes, factors, residuals: &working.residuals };
-        let gain =
-            if is_exact { Default::default() } else { at.left_to_gain(&cost, cost(residuals), simulations)? };
+        let gain = if is_exact {
+            Default::default()
+        } else {
+            at.achievable_decrease(&cost, cost(residuals), simulations)?
+        };
         let (standard_errors, correlation) = errors_and_correlation(&covariances.covariance, x.len());
         let mut uncertainty = Uncertainty {
             correlation,
@@ -292,29 +305,29 @@ impl Calibration {
             cost: cost(residuals),
             is_exact,
             accurate_cost: accurate.as_deref().map(cost),
-            left_to_gain: gain.part,
+            achievable_decrease: gain.part,
             roughness,
             simulation_noise: at_center.part_of(differences_noise),
             is_at_failures: gain.is_at_failures,
             prior_conflicts,
-            has_loss: !is_linear && known.criterion != Criterion::Likelihood,
+            has_loss: !is_linear && evaluated_point.criterion != Criterion::Likelihood,
             jacobian: of_all(&jacobian, x.len(), &free, &per_unit, context)?,
             residual_checks: self.residual_checks(residuals, &by_starts, context)?,
             lack_of_fit: LackOfFit::new(layout, residuals, noise.degrees_of_freedom),
             residuals: at_center.residuals.clone(),
-            ..self.nothing_known(x, estimator)
+            ..self.without_estimates(x, estimator)
         };
         if let Some(steps) = at_center.steps_by_accuracy(&working, factors, context)? {
             uncertainty.note_shift(&free, &steps);
         }
         uncertainty.find_combinations(&jacobian, &differences, noise, &free, &sizes, context)?;
         uncertainty.n_simulations = simulations.n - before;
-        uncertainty.findings = uncertainty.all_findings(known.f_tol);
+        uncertainty.findings = uncertainty.all_findings(evaluated_point.f_tol);
         Ok((uncertainty, covariances.curvature))
     }
 
     /// Returns the uncertainty at a point before anything is estimated.
-    fn nothing_known(&self, x: &[f64], estimator: Estimator) -> Uncertainty {
+    fn without_estimates(&self, x: &[f64], estimator: Estimator) -> Uncertainty {
         let parameters = self.parameters();
         Uncertainty {
             estimator,
@@ -347,13 +360,13 @@ impl Calibration {
     }
 
     /// Returns the indices of the parameters treated as known, and of the others.
-    fn held_and_free(&self, x: &[f64], known: &KnownPoint<'_>) -> (Vec<usize>, Vec<usize>) {
+    fn held_and_free(&self, x: &[f64], evaluated_point: &EvaluatedPoint<'_>) -> (Vec<usize>, Vec<usize>) {
         let is_held = |i: &usize| {
             let p = &self.parameters()[*i];
-            let is_at_bound = self.is_at_bound(p, x[*i]) && !known.inert.contains(i);
+            let is_at_bound = self.is_at_bound(p, x[*i]) && !evaluated_point.inert.contains(i);
             let is_fixed =
                 p.is_fixed() || p.lower() == p.upper() || p.value_kind() != ParameterKind::Continuous;
-            known.held.contains(i) || is_fixed || is_at_bound
+            evaluated_point.held.contains(i) || is_fixed || is_at_bound
         };
         (0..x.len()).partition(is_held)
     }
@@ -363,10 +376,10 @@ impl Calibration {
     fn residuals_at_center(
         &self,
         x: &[f64],
-        known: &KnownPoint<'_>,
+        evaluated_point: &EvaluatedPoint<'_>,
         simulations: &mut Simulations<'_>,
     ) -> Result<CenterResiduals, CalibrationError> {
-        let residuals = match known.residuals {
+        let residuals = match evaluated_point.residuals {
             Some(plain) => plain.to_vec(),
             None => {
                 let found = simulations.residuals(&[Point::new(x.to_vec())])?.swap_remove(0);
@@ -424,8 +437,8 @@ fn of_free(
     let mut jacobian = DMatrix::zeros(by_all.len() / n, free.len());
     for (k, mut column) in jacobian.column_iter_mut().enumerate() {
         go_on(context)?;
-        let own = by_all.iter().skip(free[k]).step_by(n);
-        column.iter_mut().zip(own).for_each(|(to, from)| *to = from * per_unit[k]);
+        let rows = by_all.iter().skip(free[k]).step_by(n);
+        column.iter_mut().zip(rows).for_each(|(to, from)| *to = from * per_unit[k]);
     }
     Ok(jacobian)
 }
@@ -442,8 +455,8 @@ fn of_all(
     let mut by_all = vec![0.0; jacobian.nrows() * n];
     for (k, &i) in free.iter().enumerate() {
         go_on(context)?;
-        let own = by_all.iter_mut().skip(i).step_by(n);
-        own.zip(&jacobian.column(k)).for_each(|(to, from)| *to = from / per_unit[k]);
+        let rows = by_all.iter_mut().skip(i).step_by(n);
+        rows.zip(&jacobian.column(k)).for_each(|(to, from)| *to = from / per_unit[k]);
     }
     Ok(by_all)
 }

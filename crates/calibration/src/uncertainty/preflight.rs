@@ -4,9 +4,9 @@
 use crate::cost::accuracy::Accuracy;
 use crate::cost::residual::sum_of_squares;
 use crate::error::CalibrationError;
+use crate::findings::display_text::{digits, visible_line};
 use crate::findings::finding::{Finding, Origin, sort, table};
 use crate::findings::identifier::FindingId;
-use crate::findings::shown_text::{digits, visible_line};
 use crate::loaded::calibration::Calibration;
 use crate::loaded::simulations_around::{Point, Simulations};
 use crate::problem::parameter::{Parameter, inner, outer};
@@ -71,7 +71,7 @@ pub struct Preflight {
     pub seconds_per_evaluation: f64,
     /// Expected evaluations of a least-squares fit: 12 for each free parameter and one more, a rule of thumb.
     pub expected_evaluations: usize,
-    /// Time of the expected evaluations in s, run one after the other.
+    /// Expected run time of the evaluations in s, run one after the other.
     pub expected_seconds: f64,
     /// Number of evaluations that may run in parallel.
     pub workers: usize,
@@ -127,12 +127,12 @@ impl Calibration {
         self.preflight_counted(options, &mut None, context, &mut Stats::default())
     }
 
-    /// Checks the start and adds the statistics of its simulations to `stats`. If `known` contains the
-    /// evaluation at the start, it is not simulated again. Otherwise the evaluation is stored in `known`.
+    /// Checks the start and adds the statistics of its simulations to `stats`. If `at_start` contains the
+    /// evaluation at the start, it is not simulated again. Otherwise the evaluation is stored in `at_start`.
     pub(crate) fn preflight_counted(
         &self,
         options: &PreflightOptions,
-        known: &mut Option<AtStart>,
+        at_start: &mut Option<AtStart>,
         context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> Result<Preflight, CalibrationError> {
@@ -140,12 +140,12 @@ impl Calibration {
         self.check_length(&start)?;
         let workers = options.workers.unwrap_or_else(base::available_cores);
         let mut simulations = Simulations::new(self, options.loss, workers, context)?;
-        let AtStart { residuals, stats: of_start } = match known {
-            Some(known) => known.clone(),
+        let AtStart { residuals, stats: of_start } = match at_start {
+            Some(at_start) => at_start.clone(),
             None => {
-                let at_start = simulations.residuals(&[Point::new(start.clone())])?.swap_remove(0);
-                let residuals = at_start.map_err(|message| self.failed_at(&start, message, None))?;
-                known.insert(AtStart { residuals, stats: simulations.stats }).clone()
+                let evaluated = simulations.residuals(&[Point::new(start.clone())])?.swap_remove(0);
+                let residuals = evaluated.map_err(|message| self.failed_at(&start, message, None))?;
+                at_start.insert(AtStart { residuals, stats: simulations.stats }).clone()
             }
         };
         let seconds_per_evaluation = of_start.seconds.get();

@@ -1,8 +1,8 @@
 //! Results of an uncertainty estimate, confidence intervals, and their printed form.
 
 use crate::error::CalibrationError;
+use crate::findings::display_text::{digits, visible_line};
 use crate::findings::finding::{Finding, table};
-use crate::findings::shown_text::{digits, visible_line};
 use crate::uncertainty::diagnostics::lack_of_fit::LackOfFit;
 use crate::uncertainty::diagnostics::prior_check::PriorConflict;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
@@ -193,7 +193,8 @@ pub struct Uncertainty {
     /// is also 0 if that step is within the standard errors, or if the measurements are reproduced
     /// [exactly](Self::is_exact).
     #[serde(default)]
-    pub left_to_gain: f64,
+    #[serde(rename = "left_to_gain")]
+    pub achievable_decrease: f64,
     /// True if the simulations along that step failed. The decrease is then a prediction.
     #[serde(default)]
     pub is_at_failures: bool,
@@ -242,22 +243,25 @@ impl Uncertainty {
     /// Returns the uncertainty with covariance, standard errors, correlation and degrees of freedom under the
     /// assumption of independent residuals.
     pub fn uncorrected(&self) -> Self {
-        let mut own = self.clone();
-        if let Some(covariance) = own.uncorrected_covariance.take() {
-            (own.standard_errors, own.correlation) = errors_and_correlation(&covariance, own.x.len());
-            own.covariance = covariance;
-            if let Some(joint) = own.uncorrected_joint.take() {
+        let mut uncorrected = self.clone();
+        if let Some(covariance) = uncorrected.uncorrected_covariance.take() {
+            (uncorrected.standard_errors, uncorrected.correlation) =
+                errors_and_correlation(&covariance, uncorrected.x.len());
+            uncorrected.covariance = covariance;
+            if let Some(joint) = uncorrected.uncorrected_joint.take() {
                 // A held or undetermined parameter has no separate degrees of freedom.
-                let all = own.degrees_of_freedom;
+                let all = uncorrected.degrees_of_freedom;
                 let degrees = |i: usize| {
-                    Some(joint.degrees_of_freedom(&joint.of(i))).filter(|own| !own.is_nan()).unwrap_or(all)
+                    Some(joint.degrees_of_freedom(&joint.of(i)))
+                        .filter(|degrees_of_parameter| !degrees_of_parameter.is_nan())
+                        .unwrap_or(all)
                 };
-                own.effective_degrees_of_freedom = (0..own.x.len()).map(degrees).collect();
-                own.joint = joint;
+                uncorrected.effective_degrees_of_freedom = (0..uncorrected.x.len()).map(degrees).collect();
+                uncorrected.joint = joint;
             }
-            own.autocorrelations.fill(0.0);
+            uncorrected.autocorrelations.fill(0.0);
         }
-        own
+        uncorrected
     }
 
     /// Returns the standard errors under the assumption of independent residuals. Returns `None` if no
@@ -275,8 +279,8 @@ impl Uncertainty {
 
     /// Returns the standard errors in the coordinates of the search.
     pub(crate) fn errors_of_search(&self) -> impl Iterator<Item = f64> + '_ {
-        let own = self.standard_errors.iter().zip(&self.x).zip(&self.is_log);
-        own.map(|((error, x), is_log)| if *is_log { error / x } else { *error })
+        let errors = self.standard_errors.iter().zip(&self.x).zip(&self.is_log);
+        errors.map(|((error, x), is_log)| if *is_log { error / x } else { *error })
     }
 
     /// Stores the largest change of a parameter due to a different accuracy of the simulations. The `steps`

@@ -40,11 +40,11 @@ pub(crate) fn triangle(
     for range in rows {
         for from in range.clone().step_by(at_once) {
             go_on(context)?;
-            let (known, n) = (above.nrows(), range.end.min(from + at_once) - from);
+            let (n_above, n) = (above.nrows(), range.end.min(from + at_once) - from);
             let mut stacked =
-                std::mem::replace(&mut above, DMatrix::zeros(0, 0)).resize_vertically(known + n, 0.0);
-            stacked.rows_mut(known, n).copy_from(&matrix.rows(from, n));
-            above = if known + n > p { stacked.qr().r() } else { stacked };
+                std::mem::replace(&mut above, DMatrix::zeros(0, 0)).resize_vertically(n_above + n, 0.0);
+            stacked.rows_mut(n_above, n).copy_from(&matrix.rows(from, n));
+            above = if n_above + n > p { stacked.qr().r() } else { stacked };
         }
     }
     Ok(above)
@@ -160,7 +160,7 @@ mod tests {
             requested.set(requested.get() + 1);
             requested.get() == 3
         };
-        let cancelled = RunContext::new().asking(&ask);
+        let cancelled = RunContext::new().polling(&ask);
         assert!(matches!(thin_svd(&tall, &cancelled), Err(CalibrationError::Cancelled)));
         assert_eq!(requested.get(), 3);
         assert!(thin_svd(&DMatrix::zeros(3, 0), &context).unwrap().is_none());

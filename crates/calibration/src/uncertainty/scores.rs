@@ -60,7 +60,7 @@ impl Working {
     /// inverse of its variance, which gives Fisher's information. Priors have no loss.
     pub(crate) fn new(criterion: Criterion, plain: &[f64], groups: &[Group], p: usize) -> Self {
         let n = plain.len();
-        let mut own = Self { residuals: plain.to_vec(), roots: vec![1.0; n], corrections: vec![1.0; n] };
+        let mut working = Self { residuals: plain.to_vec(), roots: vec![1.0; n], corrections: vec![1.0; n] };
         for group in groups {
             let rows: Vec<usize> = group.rows().collect();
             let squares: f64 = rows.iter().map(|i| plain[*i] * plain[*i]).sum();
@@ -69,16 +69,16 @@ impl Working {
             }
             match criterion {
                 Criterion::Loss(loss) if loss.is_linear() => {}
-                Criterion::Loss(loss) => own.count_robustly(loss, &rows, p as f64 / n as f64),
+                Criterion::Loss(loss) => working.count_robustly(loss, &rows, p as f64 / n as f64),
                 Criterion::Likelihood => {
                     let root = (rows.len() as f64 / squares).sqrt();
                     for &i in &rows {
-                        (own.roots[i], own.residuals[i]) = (root, plain[i] * root);
+                        (working.roots[i], working.residuals[i]) = (root, plain[i] * root);
                     }
                 }
             }
         }
-        own
+        working
     }
 
     /// Returns the variance of the plain residuals divided by the variance of the working residuals, for each
@@ -108,9 +108,9 @@ impl Working {
 
     /// Returns the weighted change.
     pub(crate) fn weighed(&self, change: &DVector<f64>) -> DVector<f64> {
-        let mut own = change.clone();
-        self.weigh(&mut own);
-        own
+        let mut weighed = change.clone();
+        self.weigh(&mut weighed);
+        weighed
     }
 
     fn count_robustly(&mut self, loss: RobustLoss, rows: &[usize], p_by_n: f64) {

@@ -4,7 +4,7 @@
 use crate::cost::parallel;
 use crate::data::NewValues;
 use crate::error::CalibrationError;
-use crate::findings::shown_text::{digits, visible_line};
+use crate::findings::display_text::{digits, visible_line};
 use crate::fit::one_stage::{Fit, FitNoise, FitOptions, NoiseRule};
 use crate::loaded::calibration::Calibration;
 use crate::problem::objective::CostKind;
@@ -114,12 +114,12 @@ struct Errors {
 }
 
 impl Errors {
-    fn new(residuals: Vec<f64>, free_part: f64, is_known: bool) -> Self {
+    fn new(residuals: Vec<f64>, free_part: f64, is_noise_known: bool) -> Self {
         let n = residuals.len() as f64;
         let scale = (1.0 / (1.0 - free_part)).sqrt();
         let squares: f64 = residuals.iter().map(|r| r * r).sum();
         let mean = residuals.iter().sum::<f64>() / n;
-        let sd = if is_known { 1.0 } else { scale * (squares / n).sqrt() };
+        let sd = if is_noise_known { 1.0 } else { scale * (squares / n).sqrt() };
         Self { residuals: residuals.iter().map(|r| (r - mean) * scale).collect(), sd }
     }
 
@@ -156,11 +156,11 @@ impl Calibration {
         options: &BootstrapOptions,
         context: &RunContext<'_>,
     ) -> Result<Bootstrap, CalibrationError> {
-        self.as_fitted(fit, |fitted| fitted.own_bootstrap(fit, options, context))
+        self.as_fitted(fit, |fitted| fitted.bootstrap_fitted(fit, options, context))
     }
 
     /// Computes the bootstrap with the weights and the tolerance of the fit.
-    fn own_bootstrap(
+    fn bootstrap_fitted(
         &self,
         fit: &Fit,
         options: &BootstrapOptions,
@@ -183,9 +183,9 @@ impl Calibration {
         let residuals = self.residuals(&fit.x, context)?;
         let free_part = goodness.nvarys as f64 / goodness.ndata as f64;
         let errors = |output: &OutputResiduals| {
-            let own = output.noisy_rows().map(|row| residuals[row]).collect();
+            let residuals_of_output = output.noisy_rows().map(|row| residuals[row]).collect();
             Errors::new(
-                own,
+                residuals_of_output,
                 free_part,
                 output.is_noise_known || fit.noise.as_ref().is_some_and(FitNoise::is_known),
             )

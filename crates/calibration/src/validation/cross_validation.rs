@@ -3,7 +3,7 @@
 
 use crate::cost::parallel;
 use crate::error::CalibrationError;
-use crate::findings::shown_text::{digits, visible_line};
+use crate::findings::display_text::{digits, visible_line};
 use crate::fit::one_stage::{Fit, FitOptions, NoiseRule};
 use crate::loaded::calibration::Calibration;
 use crate::problem::objective::CostKind;

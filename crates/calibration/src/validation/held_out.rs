@@ -3,9 +3,9 @@
 
 use crate::cost::residual::PointResiduals;
 use crate::error::CalibrationError;
+use crate::findings::display_text::{digits, visible_line};
 use crate::findings::finding::{Finding, table};
 use crate::findings::identifier::FindingId;
-use crate::findings::shown_text::{digits, visible_line};
 use crate::fit::one_stage::{Fit, FitNoise, FitOptions, NoiseRule};
 use crate::fit::output_fit::OutputFit;
 use crate::loaded::calibration::Calibration;
@@ -194,8 +194,8 @@ impl Calibration {
                             fit.objective
                         )));
                     };
-                    let own = other.of_fit(fit)?;
-                    let refit = own.as_ref().unwrap_or(&other).fit(FitOptions {
+                    let fitted_calibration = other.of_fit(fit)?;
+                    let refit = fitted_calibration.as_ref().unwrap_or(&other).fit(FitOptions {
                         noise: NoiseRule::Stated,
                         start: Some(x),
                         held,
@@ -224,12 +224,12 @@ impl Calibration {
         let points = |output: &OutputResiduals| -> Vec<(u64, u64)> {
             output.times.iter().zip(&output.measured).map(|(t, y)| (t.to_bits(), y.to_bits())).collect()
         };
-        let own = &self.residual_layout().outputs;
+        let outputs = &self.residual_layout().outputs;
         let names = other.problem().experiment_names();
         let finding = |output: &OutputResiduals| {
-            let same = own.iter().filter(|o| o.variable == output.variable);
-            let known: HashSet<(u64, u64)> = same.flat_map(points).collect();
-            let n = points(output).iter().filter(|point| known.contains(point)).count();
+            let same = outputs.iter().filter(|o| o.variable == output.variable);
+            let points_of_fit: HashSet<(u64, u64)> = same.flat_map(points).collect();
+            let n = points(output).iter().filter(|point| points_of_fit.contains(point)).count();
             let all = output.measured.len();
             let is_seen = n > 0 && n as f64 >= share * all as f64;
             is_seen.then(|| {
@@ -260,12 +260,12 @@ impl Calibration {
         let residuals = self.residuals_with(None, start, RobustLoss::default(), context, &mut stats)?;
         let start = residuals.map(|residuals| PointResiduals { x: start.to_vec(), residuals });
         let fits = self.output_fits(&end, start.as_ref());
-        let outputs = self.residual_layout().outputs.iter().zip(fits).map(|(own, fit)| {
-            let plain = |of: &PointResiduals| own.differences(&of.residuals);
+        let outputs = self.residual_layout().outputs.iter().zip(fits).map(|(output, fit)| {
+            let plain = |of: &PointResiduals| output.differences(&of.residuals);
             ValidatedOutput {
                 fit,
-                times: own.times.to_vec(),
-                measured: own.measured_values(),
+                times: output.times.to_vec(),
+                measured: output.measured_values(),
                 residuals: plain(&end),
                 start_residuals: start.as_ref().map(plain),
             }
@@ -295,9 +295,9 @@ impl Calibration {
     /// Returns values for another problem with the same parameters. Shared values are taken from `x`, and
     /// local values are the start values of the other problem.
     fn carried(&self, other: &Calibration, x: &[f64]) -> Result<Vec<f64>, CalibrationError> {
-        let own = self.problem().elements()?;
+        let elements = self.problem().elements()?;
         let shared =
-            |name: &str| own.iter().position(|e| e.experiment.is_none() && e.parameter.name() == name);
+            |name: &str| elements.iter().position(|e| e.experiment.is_none() && e.parameter.name() == name);
         let value = |(i, e): (usize, &crate::problem::definition::Element)| match shared(e.parameter.name()) {
             Some(k) if e.experiment.is_none() => x[k],
             _ => other.parameters()[i].start(),

@@ -162,7 +162,7 @@ fn check_reports_temperatures_in_degrees_celsius() {
         ..SimulateOptions::default()
     };
     let kelvin = open("exhaust").simulate(&options).unwrap().columns.swap_remove(0);
-    for (zero, is_said) in [(273.15, true), (0.0, false)] {
+    for (zero, is_reported) in [(273.15, true), (0.0, false)] {
         let values = kelvin.iter().enumerate().map(|(k, v)| v - zero + 0.05 * noise(k)).collect();
         let recording = Data::from_columns(time.clone(), [("outlet".to_owned(), values)]).unwrap();
         let experiment = start
@@ -177,8 +177,8 @@ fn check_reports_temperatures_in_degrees_celsius() {
             .unwrap()
             .check();
         let reported = reported(&check).concat();
-        assert_eq!(reported.contains("as degC from K"), is_said, "{check}");
-        assert_eq!(reported.contains("as in 'outlet [degC]'"), is_said, "{check}");
+        assert_eq!(reported.contains("as degC from K"), is_reported, "{check}");
+        assert_eq!(reported.contains("as in 'outlet [degC]'"), is_reported, "{check}");
         assert!(!reported.contains("rpm") && !check.to_string().contains("[mm]"), "{check}");
     }
 }
@@ -197,10 +197,10 @@ fn check_returns_only_notes_for_correct_setups() {
         "{check}"
     );
 
-    let own = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/data/furuta.csv");
+    let csv = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/data/furuta.csv");
     let check = Calibration::builder(open("furuta"))
         .experiment(
-            Experiment::new(Data::from_csv(own).unwrap())
+            Experiment::new(Data::from_csv(csv).unwrap())
                 .output("armJoint.phi", "phi")
                 .output("pendulumJoint.phi", "theta"),
         )
@@ -241,7 +241,7 @@ fn check_reports_a_failed_simulation() {
     assert_eq!(check.findings[0].severity, Severity::Error);
     assert!(check.findings[0].sentence.contains("k = -1000000"), "{check}");
     assert!(calibration.check_with(&NO_SIMULATION, &RunContext::new()).unwrap().is_ok());
-    assert!(calibration.check_with(&CheckOptions::default(), &RunContext::new().asking(&|| true)).is_err());
+    assert!(calibration.check_with(&CheckOptions::default(), &RunContext::new().polling(&|| true)).is_err());
 }
 
 /// Returns a calibration to a decay with k = 20 and x(0) = 0.9, from a start at 15 and 0.5. Its value and its
@@ -273,7 +273,7 @@ fn check_ignores_the_start_value_of_a_fitted_state() {
     let t: Vec<f64> = (0..61).map(|k| 0.05 * f64::from(k)).collect();
     let x = t.iter().enumerate().map(|(k, t)| 0.9 * (-2.0 * t).exp() + 1e-3 * noise(k)).collect();
     let data = Data::from_columns(t, [("x".to_owned(), x)]).unwrap();
-    let says = |initial: calibration::InitialState| {
+    let reports_start = |initial: calibration::InitialState| {
         let experiment = Experiment::new(data.clone()).output("x", "x").initial_state("x", initial);
         let calibration = Calibration::builder(open("dahlquist"))
             .experiment(experiment)
@@ -282,7 +282,7 @@ fn check_ignores_the_start_value_of_a_fitted_state() {
             .unwrap();
         calibration.check().to_string().contains("the simulation starts at 0.2")
     };
-    assert!(says(0.2.into()) && !says(Parameter::new("x0", 0.2).bounds(0.0, 2.0).into()));
+    assert!(reports_start(0.2.into()) && !reports_start(Parameter::new("x0", 0.2).bounds(0.0, 2.0).into()));
 }
 
 #[test]
@@ -309,7 +309,7 @@ fn fixed_step_is_halved_when_input_rows_shorten_it() {
     };
     let level = open("quad_tank").simulate(&options).unwrap().columns.remove(0);
     let columns = vec![("u1".to_owned(), u1), ("x1".to_owned(), level)];
-    let said_with = |step: f64| {
+    let reported_with = |step: f64| {
         let experiment = Experiment::new(Data::from_columns(time.clone(), columns.clone()).unwrap())
             .output("qt.x1", "x1")
             .input("u1", "u1")
@@ -322,13 +322,13 @@ fn fixed_step_is_halved_when_input_rows_shorten_it() {
         let preflight = calibration.preflight(&PreflightOptions::default(), &RunContext::new()).unwrap();
         (calibration.check().to_string().contains("half the step of the solver 'euler'"), preflight.noise)
     };
-    let (is_named, of_rows) = said_with(15.0);
+    let (is_named, of_rows) = reported_with(15.0);
     assert!(is_named && of_rows > 1e-3);
     // These steps are also shortened to the row spacing.
     for step in [30.0, 60.0] {
-        assert_eq!(said_with(step), (true, of_rows), "step {step}");
+        assert_eq!(reported_with(step), (true, of_rows), "step {step}");
     }
-    assert!(!said_with(0.5).0);
+    assert!(!reported_with(0.5).0);
 }
 
 #[test]
@@ -404,7 +404,7 @@ fn check_reports_mistakes_in_input_columns() {
 #[test]
 fn check_reports_an_input_in_degrees_celsius() {
     let time: Vec<f64> = (0..60).map(|k| 2.0 * f64::from(k)).collect();
-    for (zero, is_said) in [(0.0, true), (273.15, false)] {
+    for (zero, is_reported) in [(0.0, true), (273.15, false)] {
         let inlet = time.iter().map(|t| zero + 20.0 + 0.1 * t).collect();
         let outlet = time.iter().map(|t| 290.0 + 0.1 * t).collect();
         let columns = [("inlet".to_owned(), inlet), ("outlet".to_owned(), outlet)];
@@ -418,6 +418,6 @@ fn check_reports_an_input_in_degrees_celsius() {
             .unwrap();
         let check = calibration.check_with(&NO_SIMULATION, &RunContext::new()).unwrap();
         let reported = "the values lie between 20 and 31.8 K, but the start value of the model is 550, as with degC instead of K";
-        assert_eq!(check.to_string().contains(reported), is_said, "{check}");
+        assert_eq!(check.to_string().contains(reported), is_reported, "{check}");
     }
 }

@@ -88,8 +88,11 @@ fn communication_step_is_reported_when_it_changes_the_results() {
             .build()
             .unwrap();
         let findings = (calibration.check().findings, calibration.fit(long()).unwrap().findings());
-        let is_said = |text: String| text.contains("half the communication step changes 'y'");
-        (findings.0.iter().any(|f| is_said(f.to_string())), findings.1.iter().any(|f| is_said(f.to_string())))
+        let is_reported = |text: String| text.contains("half the communication step changes 'y'");
+        (
+            findings.0.iter().any(|f| is_reported(f.to_string())),
+            findings.1.iter().any(|f| is_reported(f.to_string())),
+        )
     };
     assert_eq!(reported(&["ONE_EULER_STEP"], 0.1, 0.0), (true, true));
     assert_eq!(reported(&["ONE_EULER_STEP"], 0.1, 0.2), (true, false));

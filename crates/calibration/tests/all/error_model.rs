@@ -60,7 +60,7 @@ fn stated_error_model_reaches_the_fixed_point_of_weighted_regression() {
     let regression = |x: f64| {
         let weights = basis.iter().map(|basis| (a + b * x * basis).powi(-2));
         let sums = weights.zip(&basis).zip(&y).map(|((w, basis), y)| (w * basis * basis, w * basis * y));
-        sums.fold((0.0, 0.0), |(bb, by), (own, and)| (bb + own, by + and))
+        sums.fold((0.0, 0.0), |(bb, by), (term, and)| (bb + term, by + and))
     };
     let mut x = 1.0;
     for _ in 0..200 {
@@ -108,8 +108,11 @@ fn later_analyses_use_the_standard_deviations_of_the_fit() {
         let intervals = uncertainty.confidence_intervals(0.95).unwrap();
         let profile = calibration.profile(&fit, &ProfileOptions::default(), &context).unwrap();
         for (parameter, (low, high)) in profile.parameters.iter().zip(&intervals) {
-            let own = parameter.interval();
-            assert!(((own.1 - own.0) / (high - low)).ln().abs() < 0.05, "{own:?} {low} {high}");
+            let asymptotic = parameter.interval();
+            assert!(
+                ((asymptotic.1 - asymptotic.0) / (high - low)).ln().abs() < 0.05,
+                "{asymptotic:?} {low} {high}"
+            );
         }
         let sigma = |y: f64| modelled(&fit).a + modelled(&fit).b * y;
         let band = &calibration.prediction_bands(&fit, &BandOptions::default(), &context).unwrap()[0];
@@ -119,8 +122,8 @@ fn later_analyses_use_the_standard_deviations_of_the_fit() {
         let options =
             BootstrapOptions { n: 60, seed: Some(2), workers: Some(1), ..BootstrapOptions::default() };
         let bootstrap = calibration.bootstrap(&fit, &options, &context).unwrap();
-        for (own, error) in bootstrap.standard_errors().iter().zip(&uncertainty.standard_errors) {
-            assert!((own / error).ln().abs() < 0.4, "{own} {error}");
+        for (standard_error, error) in bootstrap.standard_errors().iter().zip(&uncertainty.standard_errors) {
+            assert!((standard_error / error).ln().abs() < 0.4, "{standard_error} {error}");
         }
         let layout = fit.residual_layout(&calibration);
         let weights = layout.outputs[0].weights.iter().zip(&band.values);
@@ -175,8 +178,8 @@ fn estimated_noise_of_another_recording_does_not_change_an_error_model() {
     let alone = fit(&[], NoiseRule::Auto);
     let beside = fit(&["log"], NoiseRule::Estimated);
     assert!((beside.x[0] / alone.x[0] - 1.0).abs() < 1e-3, "{alone}\n{beside}");
-    let (own, other) = (modelled(&alone), modelled(&beside));
-    assert!((other.b / own.b).ln().abs() < 0.05, "{alone}\n{beside}");
+    let (alone_model, other) = (modelled(&alone), modelled(&beside));
+    assert!((other.b / alone_model.b).ln().abs() < 0.05, "{alone}\n{beside}");
     assert!(beside.noise.as_ref().unwrap().estimated().unwrap().outputs.len() == 1, "{beside}");
 }
 

@@ -199,7 +199,7 @@ fn state_that_the_model_computes_is_set_after_the_initialization() {
 
 #[test]
 fn state_without_effect_is_an_error_or_a_finding() {
-    let is_said = |calibration: &Calibration| {
+    let is_reported = |calibration: &Calibration| {
         let sentence = "x was set to the start value 2, but is 3 after the initialization";
         let fit = calibration.fit(FitOptions::default()).unwrap();
         let in_check = calibration.check().findings.iter().any(|f| f.sentence.starts_with(sentence));
@@ -213,9 +213,9 @@ fn state_without_effect_is_an_error_or_a_finding() {
         })
         .unwrap()
     };
-    assert!(is_said(&given(&computing(false), None)));
-    assert!(is_said(&given(&co_simulation, None)));
-    assert!(is_said(&given(&co_simulation, Some(InitialState::Value(2.0)))));
+    assert!(is_reported(&given(&computing(false), None)));
+    assert!(is_reported(&given(&co_simulation, None)));
+    assert!(is_reported(&given(&co_simulation, Some(InitialState::Value(2.0)))));
     let start = Parameter::new("x0", 1.0).bounds(0.5, 5.0);
     for initial in [InitialState::Measured, start.into()] {
         let calibration = given(&co_simulation, Some(initial));

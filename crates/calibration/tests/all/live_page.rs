@@ -66,8 +66,8 @@ fn page_is_served_only_to_clients_with_the_token() {
     let (host, path) = place(&page);
     assert!(host.starts_with("127.0.0.1:") && path.len() > 32, "{}", page.url());
     let port = host.rsplit_once(':').unwrap().1;
-    let own = format!("Host: {host}\r\n");
-    let good = requested(&host, "GET", &path, &own);
+    let host_header = format!("Host: {host}\r\n");
+    let good = requested(&host, "GET", &path, &host_header);
     assert!(good.0 == "HTTP/1.1 200 OK" && good.1.contains("rate &lt;of&gt; decay"), "{}", good.1);
     assert!(good.1.contains("Content-Security-Policy: default-src 'none'"), "{}", good.1);
     // The page must not load anything from other hosts.
@@ -77,36 +77,36 @@ fn page_is_served_only_to_clients_with_the_token() {
         "{elsewhere}"
     );
     let other_token = "0".repeat(32);
-    let from = |origin: &str| format!("{own}Origin: {origin}\r\n");
+    let from = |origin: &str| format!("{host_header}Origin: {origin}\r\n");
     for (method, path, headers, status) in [
         ("GET", path.as_str(), format!("host: LOCALHOST:{port}\r\n"), "200"),
-        ("GET", &format!("{path}state"), own.clone(), "200"),
+        ("GET", &format!("{path}state"), host_header.clone(), "200"),
         // Wrong or missing tokens, other paths.
-        ("GET", "/", own.clone(), "404"),
-        ("GET", &format!("/{other_token}/"), own.clone(), "404"),
-        ("POST", &format!("/{other_token}/stop"), own.clone(), "404"),
-        ("GET", &path[..path.len() - 1], own.clone(), "404"),
-        ("GET", &format!("{path}../"), own.clone(), "404"),
-        ("GET", &format!("{path}state?x"), own.clone(), "404"),
-        ("GET", &format!("http://{host}{path}"), own.clone(), "404"),
+        ("GET", "/", host_header.clone(), "404"),
+        ("GET", &format!("/{other_token}/"), host_header.clone(), "404"),
+        ("POST", &format!("/{other_token}/stop"), host_header.clone(), "404"),
+        ("GET", &path[..path.len() - 1], host_header.clone(), "404"),
+        ("GET", &format!("{path}../"), host_header.clone(), "404"),
+        ("GET", &format!("{path}state?x"), host_header.clone(), "404"),
+        ("GET", &format!("http://{host}{path}"), host_header.clone(), "404"),
         // Sites whose names resolve to this address.
         ("GET", &path, format!("Host: rebound.example:{port}\r\n"), "403"),
         ("GET", &path, "Host: 127.0.0.1\r\n".to_owned(), "403"),
         ("GET", &path, String::new(), "403"),
-        ("GET", &path, format!("{own}{own}"), "403"),
+        ("GET", &path, format!("{host_header}{host_header}"), "403"),
         ("POST", &format!("{path}stop"), from("http://rebound.example"), "403"),
         ("POST", &format!("{path}stop"), from("null"), "403"),
         // Methods.
-        ("GET", &format!("{path}stop"), own.clone(), "405"),
-        ("GET", &format!("{path}close"), own.clone(), "405"),
-        ("POST", &path, own.clone(), "405"),
-        ("DELETE", &format!("{path}state"), own.clone(), "405"),
+        ("GET", &format!("{path}stop"), host_header.clone(), "405"),
+        ("GET", &format!("{path}close"), host_header.clone(), "405"),
+        ("POST", &path, host_header.clone(), "405"),
+        ("DELETE", &format!("{path}state"), host_header.clone(), "405"),
         // Sizes.
-        ("GET", &path, format!("{own}A: {}\r\n", "a".repeat(100_000)), "413"),
-        ("GET", &format!("{path}{}", "a".repeat(100_000)), own.clone(), "413"),
-        ("POST", &format!("{path}stop"), format!("{own}Content-Length: 99999999999\r\n"), "413"),
-        ("POST", &format!("{path}stop"), format!("{own}Content-Length: minus\r\n"), "400"),
-        ("POST", &format!("{path}stop"), format!("{own}Transfer-Encoding: chunked\r\n"), "413"),
+        ("GET", &path, format!("{host_header}A: {}\r\n", "a".repeat(100_000)), "413"),
+        ("GET", &format!("{path}{}", "a".repeat(100_000)), host_header.clone(), "413"),
+        ("POST", &format!("{path}stop"), format!("{host_header}Content-Length: 99999999999\r\n"), "413"),
+        ("POST", &format!("{path}stop"), format!("{host_header}Content-Length: minus\r\n"), "400"),
+        ("POST", &format!("{path}stop"), format!("{host_header}Transfer-Encoding: chunked\r\n"), "413"),
     ] {
         let (line, text) = requested(&host, method, path, &headers);
         let shown = format!("{method} {path:.80} {headers:.80}: {line}");
@@ -114,11 +114,14 @@ fn page_is_served_only_to_clients_with_the_token() {
         assert!(status == "200" || !text.contains("decay"), "{shown}");
     }
     assert!(sent(&host, b"\x16\x03\x01 no HTTP\r\n\r\n").0.contains(" 400 "));
-    let (line, text) = requested(&host, "HEAD", &path, &own);
+    let (line, text) = requested(&host, "HEAD", &path, &host_header);
     assert!(line.contains(" 200 ") && text.ends_with("\r\n\r\n"), "{text}");
-    assert!(!page.is_stop_asked() && !page.is_closed());
+    assert!(!page.is_stop_requested() && !page.is_closed());
     // Without a report, a request cannot close the page.
-    assert!(requested(&host, "POST", &format!("{path}close"), &own).0.contains(" 303 ") && !page.is_closed());
+    assert!(
+        requested(&host, "POST", &format!("{path}close"), &host_header).0.contains(" 303 ")
+            && !page.is_closed()
+    );
     drop(page);
     // The listening thread ends by itself.
     let is_refused = |_| {
@@ -133,21 +136,21 @@ fn stop_button_ends_the_fit_with_the_best_point() {
     let calibration = slow_decay();
     let page = LivePage::start(&calibration).unwrap();
     let (host, path) = place(&page);
-    let own = format!("Host: {host}\r\n");
-    let state = || requested(&host, "GET", &format!("{path}state"), &own).1;
+    let host_header = format!("Host: {host}\r\n");
+    let state = || requested(&host, "GET", &format!("{path}state"), &host_header).1;
     // These clients send nothing, send a part of a request, or do not read the answer.
     let hanging: Vec<TcpStream> = (0..12)
         .map(|k| {
             let mut stream = TcpStream::connect(&host).unwrap();
-            let part = format!("GET {path} HTTP/1.1\r\n{own}\r\n");
+            let part = format!("GET {path} HTTP/1.1\r\n{host_header}\r\n");
             stream.write_all(&part.as_bytes()[..[0, 10, part.len()][k % 3]]).unwrap();
             stream
         })
         .collect();
     let fit = std::thread::scope(|scope| {
         let run = scope.spawn(|| {
-            let is_asked = || page.is_stop_asked();
-            let mut options = FitOptions { context: RunContext::new().asking(&is_asked), ..endless() };
+            let is_requested = || page.is_stop_requested();
+            let mut options = FitOptions { context: RunContext::new().polling(&is_requested), ..endless() };
             page.attach(&mut options);
             calibration.fit(options).unwrap()
         });
@@ -160,7 +163,7 @@ fn stop_button_ends_the_fit_with_the_best_point() {
         // The page shows measured and simulated values with the residuals below, and the costs.
         assert!(seen.matches("role=\"img\"").count() == 2 && seen.contains("residual"), "{seen}");
         let (line, text) =
-            requested(&host, "POST", &format!("{path}stop"), &format!("{own}Content-Length: 0\r\n"));
+            requested(&host, "POST", &format!("{path}stop"), &format!("{host_header}Content-Length: 0\r\n"));
         assert!(line.contains(" 303 ") && text.contains("Location: ./\r\n"), "{text}");
         run.join().unwrap()
     });
@@ -171,12 +174,12 @@ fn stop_button_ends_the_fit_with_the_best_point() {
     // The page now shows the report, which requires no simulation. A context that has ended would end a
     // simulation.
     let is_over = || true;
-    page.show_report(&calibration, &fit, &RunContext::new().asking(&is_over)).unwrap();
+    page.show_report(&calibration, &fit, &RunContext::new().polling(&is_over)).unwrap();
     assert!(state().starts_with("HTTP/1.1 205 "));
-    let report = requested(&host, "GET", &path, &own).1;
+    let report = requested(&host, "GET", &path, &host_header).1;
     assert!(report.contains("The fit was interrupted") && report.contains("action=\"close\""), "{report}");
     assert!(report.contains("Measured and simulated") && report.contains("Figure: x"), "{report}");
-    let (line, text) = requested(&host, "POST", &format!("{path}close"), &own);
+    let (line, text) = requested(&host, "POST", &format!("{path}close"), &host_header);
     assert!(line.contains(" 200 ") && text.contains("The page is closed"), "{text}");
     while !page.is_closed() {
         std::thread::yield_now();
@@ -188,10 +191,10 @@ fn stop_button_ends_the_fit_with_the_best_point() {
 fn page_responds_when_other_clients_send_nothing() {
     let page = LivePage::start(&decay()).unwrap();
     let (host, path) = place(&page);
-    let own = format!("Host: {host}\r\n");
+    let host_header = format!("Host: {host}\r\n");
     let hanging: Vec<TcpStream> = (0..32).map(|_| TcpStream::connect(&host).unwrap()).collect();
     // The owner is served after a short timeout of the silent clients, although all of them stay connected.
-    while !requested(&host, "GET", &path, &own).0.contains(" 200 ") {
+    while !requested(&host, "GET", &path, &host_header).0.contains(" 200 ") {
         std::thread::yield_now();
     }
     drop(hanging);

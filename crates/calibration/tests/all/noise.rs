@@ -564,12 +564,12 @@ fn vague_prior_keeps_degrees_of_freedom_and_intervals() {
         Data::from_columns(t, [("x".to_owned(), x)]).unwrap()
     };
     let with = |prior: Option<f64>| {
-        let known = |p: Parameter| match prior {
+        let with_prior = |p: Parameter| match prior {
             Some(sd) => p.prior(Prior::Normal { mean: 0.9, sd }),
             None => p,
         };
-        let k = known(Parameter::new("k", 1.0).bounds(0.01, 100.0));
-        let off = known(Parameter::new("off", 0.0).bounds(-1000.0, 1000.0).offset_of("x"));
+        let k = with_prior(Parameter::new("k", 1.0).bounds(0.01, 100.0));
+        let off = with_prior(Parameter::new("off", 0.0).bounds(-1000.0, 1000.0).offset_of("x"));
         let calibration = dahlquist(data(), 1.0).parameter(k).parameter(off).build().unwrap();
         calibration.fit(FitOptions::default()).unwrap().uncertainty.unwrap()
     };

@@ -56,14 +56,14 @@ fn fit_reports_interrupted_checks() {
     let calibration = decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Tsit5, None);
     let phase = Arc::new(CurrentPhase::default());
     let seen = Arc::clone(&phase);
-    let is_asked = move || seen.get() == FitPhase::Uncertainty;
-    let context = RunContext::new().asking(&is_asked);
+    let is_requested = move || seen.get() == FitPhase::Uncertainty;
+    let context = RunContext::new().polling(&is_requested);
     let fit = calibration.fit(FitOptions { context, phase, ..FitOptions::default() }).unwrap();
-    let says = |fit: &calibration::Fit| {
+    let reports_interruption = |fit: &calibration::Fit| {
         fit.findings().iter().any(|f| f.sentence.contains("ended during the checks after the search"))
     };
-    assert!(fit.is_success() && fit.uncertainty.is_none() && says(&fit), "{fit}");
-    assert!(!says(&calibration.fit(FitOptions::default()).unwrap()));
+    assert!(fit.is_success() && fit.uncertainty.is_none() && reports_interruption(&fit), "{fit}");
+    assert!(!reports_interruption(&calibration.fit(FitOptions::default()).unwrap()));
 }
 
 /// With `auto`, neither the first nor the second fit runs simulations outside its trace.
@@ -214,8 +214,8 @@ fn extra_simulations_stay_within_their_share_of_the_search() {
         let run = RunOptions { workers: Some(1), ..FitOptions::default_run() };
         let fit = calibration.fit(run).unwrap();
         let taken = |wanted: &dyn Fn(FitPhase) -> bool| {
-            let own = fit.phases.iter().filter(|cost| wanted(cost.phase));
-            own.fold((0, 0), |(n, work), cost| {
+            let extra = fit.phases.iter().filter(|cost| wanted(cost.phase));
+            extra.fold((0, 0), |(n, work), cost| {
                 (n + cost.taken.simulations, work + cost.taken.right_hand_sides)
             })
         };

@@ -83,9 +83,9 @@ fn unknown_noise_is_integrated_out() {
 #[test]
 fn bound_cuts_the_posterior() {
     let (x, _, _) = least_squares(20);
-    let known = Parameter::new("h", x[0]).fixed(true);
+    let fixed = Parameter::new("h", x[0]).fixed(true);
     let cut = Parameter::new("v", x[1] + 0.01).bounds(x[1], 9.0);
-    let found = sample(&line(20, Sigma::Constant(SD), [known, cut]), &options(1000));
+    let found = sample(&line(20, Sigma::Constant(SD), [fixed, cut]), &options(1000));
     // Half normal with the standard deviation 0.2 / sqrt(sum t^2), because h is fixed.
     let sd = SD / (0..20).map(|k| (0.1 * f64::from(k)).powi(2)).sum::<f64>().sqrt();
     let (mean, of_half) = ((2.0 / std::f64::consts::PI).sqrt(), (1.0 - 2.0 / std::f64::consts::PI).sqrt());
@@ -144,8 +144,8 @@ fn sample_interrupted_within_a_step_continues_with_the_same_bits() {
         let mut n_runs = 0;
         let found = loop {
             let left = Cell::new(interval);
-            let is_asked = || left.replace(left.get().saturating_sub(1)) == 0;
-            let context = RunContext::new().asking(&is_asked);
+            let is_requested = || left.replace(left.get().saturating_sub(1)) == 0;
+            let context = RunContext::new().polling(&is_requested);
             n_runs += 1;
             match calibration.sample(&fit, &stored, &mut |_| (), &context) {
                 Ok(found) if !found.is_interrupted => break found,

@@ -142,7 +142,7 @@ fn band_error_reports_the_reason() {
         let error = calibration.prediction_bands(fit, &options, &RunContext::new()).unwrap_err().to_string();
         assert!(error.contains(expected), "{error}");
     }
-    assert!(calibration.prediction_bands(&fit, &options, &RunContext::new().asking(&|| true)).is_err());
+    assert!(calibration.prediction_bands(&fit, &options, &RunContext::new().polling(&|| true)).is_err());
 }
 
 #[test]
@@ -188,7 +188,7 @@ fn cross_validation_rejects_invalid_folds() {
         );
     }
     let error = two
-        .cross_validate(&CrossValidationOptions::default(), &RunContext::new().asking(&|| true))
+        .cross_validate(&CrossValidationOptions::default(), &RunContext::new().polling(&|| true))
         .unwrap_err();
     assert!(matches!(error, calibration::CalibrationError::Cancelled));
 }

@@ -7,7 +7,7 @@ use calibration::RunContext;
 use calibration::{
     Calibration, CalibrationBuilder, CalibrationError, Data, Experiment, FitOptions, Parameter, Problem,
 };
-use dfo::{Answer, LeastSquares, Limits, Objective, Outcome, Query, RunOptions, Want};
+use dfo::{Answer, EvaluationKind, LeastSquares, Limits, Objective, Outcome, Query, RunOptions};
 use example_models::example_fmu;
 use fmi::Fmu;
 use std::sync::atomic::AtomicBool;
@@ -64,21 +64,24 @@ fn cost_is_bitwise_identical_on_every_path() {
     assert_eq!(cost.to_bits(), sum(&residuals).to_bits());
     assert_ne!(cost.to_bits(), sum(&residuals.iter().rev().copied().collect::<Vec<_>>()).to_bits());
 
-    let ask = |want, cutoff| {
+    let ask = |kind, cutoff| {
         let mut answer = Answer::default();
-        calibration.evaluate(&x, &Query::new(0, 0, cutoff).want(want), &mut answer);
+        calibration.evaluate(&x, &Query::new(0, 0, cutoff).kind(kind), &mut answer);
         answer
     };
-    for (want, cutoff) in [(Want::Cost, f64::INFINITY), (Want::Cost, cost), (Want::Residuals, f64::INFINITY)]
-    {
-        let answer = ask(want, cutoff);
+    for (kind, cutoff) in [
+        (EvaluationKind::Cost, f64::INFINITY),
+        (EvaluationKind::Cost, cost),
+        (EvaluationKind::Residuals, f64::INFINITY),
+    ] {
+        let answer = ask(kind, cutoff);
         assert_eq!(answer.outcome, Outcome::Value(cost));
-        let expected = if want == Want::Residuals { &residuals[..] } else { &[] };
+        let expected = if kind == EvaluationKind::Residuals { &residuals[..] } else { &[] };
         assert_eq!(answer.residuals, expected);
     }
     // Only a cost strictly above the cutoff is rejected, however small the difference.
     let below = f64::from_bits(cost.to_bits() - 1);
-    assert_eq!(ask(Want::Cost, below).outcome, Outcome::Above(below));
+    assert_eq!(ask(EvaluationKind::Cost, below).outcome, Outcome::Above(below));
 
     let mut found = Vec::new();
     for (workers, cutoffs) in [(1, true), (1, false), (3, true)] {
@@ -163,7 +166,7 @@ fn problem_round_trips_through_a_file() {
 fn fit_can_be_cancelled_before_its_first_evaluation() {
     let calibration = furuta();
     let flag = AtomicBool::new(true);
-    for context in [RunContext::new().flagged(&flag), RunContext::new().asking(&|| true)] {
+    for context in [RunContext::new().flagged(&flag), RunContext::new().polling(&|| true)] {
         let options = FitOptions { context, ..FitOptions::default() };
         assert!(matches!(calibration.fit(options), Err(CalibrationError::Cancelled)));
     }

@@ -111,16 +111,16 @@ fn profile_interval_matches_covariance_for_linear_model() {
         assert_eq!(found.degrees_of_freedom, 98.0);
         for (k, p) in found.parameters.iter().enumerate() {
             let (low, high) = p.interval();
-            let own = t(k);
-            near(low, found.x[k] - own * errors[k], 0.01 * errors[k]);
-            near(high, found.x[k] + own * errors[k], 0.01 * errors[k]);
+            let quantile = t(k);
+            near(low, found.x[k] - quantile * errors[k], 0.01 * errors[k]);
+            near(high, found.x[k] + quantile * errors[k], 0.01 * errors[k]);
             // The profile is a parabola with about five steps on each side, the first ones near the optimum.
             assert!((9..=19).contains(&p.points.len()), "{}", p.points.len());
             let near_optimum =
                 p.points.iter().filter(|point| point.statistic < 0.1 * found.threshold).count();
             assert!(near_optimum >= 3, "{p:?}");
             for point in &p.points {
-                let z = (point.value - found.x[k]) / (errors[k] * own);
+                let z = (point.value - found.x[k]) / (errors[k] * quantile);
                 near(point.statistic, found.threshold * z * z, 0.01);
                 assert_eq!(point.x[k], point.value);
             }
@@ -271,7 +271,7 @@ fn profile_is_unchanged_by_workers_interrupts_and_files() {
     let file = folder.path().join("profile.json");
     let n_saved = || std::fs::read_to_string(&file).unwrap_or_default().matches("\"side\"").count();
     let cut = calibration
-        .profile(&fit, &with(1, Some(&file)), &RunContext::new().asking(&|| n_saved() > 1))
+        .profile(&fit, &with(1, Some(&file)), &RunContext::new().polling(&|| n_saved() > 1))
         .unwrap();
     assert!(cut.is_interrupted && cut.to_string().contains("interrupted"), "{cut}");
     assert_eq!((n_saved(), &cut.parameters[0]), (2, &whole.parameters[0]));
@@ -281,7 +281,7 @@ fn profile_is_unchanged_by_workers_interrupts_and_files() {
     let again = profile(&calibration, &fit, &with(1, Some(&file)));
     assert!(again.n_simulations == whole.n_simulations && n_saved() == 4);
     let cancelled =
-        calibration.profile(&fit, &with(1, None), &RunContext::new().asking(&|| true)).unwrap_err();
+        calibration.profile(&fit, &with(1, None), &RunContext::new().polling(&|| true)).unwrap_err();
     assert!(matches!(cancelled, CalibrationError::Cancelled));
 
     let refused = |options: ProfileOptions| {

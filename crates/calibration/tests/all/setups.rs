@@ -85,9 +85,9 @@ fn parameter_at_bound_is_reported() {
         let parameter = Parameter::new("k", 0.5 * (lower + upper)).bounds(lower, upper);
         let fit = decay(0.0, parameter).build().unwrap().fit(FitOptions::default()).unwrap();
         assert_eq!(fit.at_bound.first().map(|(_, side)| *side), expected);
-        let has_said =
+        let is_reported =
             fit.findings().iter().any(|f| f.severity == Severity::Warning && f.sentence.contains("bound"));
-        assert_eq!(has_said, expected.is_some(), "{fit}");
+        assert_eq!(is_reported, expected.is_some(), "{fit}");
         assert!(fit.without_effect.is_empty());
     }
 }

@@ -106,13 +106,13 @@ fn stages_slightly_above_the_joint_minimum_do_not_count_as_converged() {
 #[test]
 fn stages_without_standard_errors_report_the_missing_test() {
     let calibration = two_coupled(1e-3, 1.0);
-    let is_said = |stages: &[Stage]| {
+    let is_reported = |stages: &[Stage]| {
         let options = FitOptions { uncertainty: None, ..FitOptions::default() };
         let fit = calibration.fit_stages(stages, options).unwrap();
         fit.findings().iter().any(|f| f.id == FindingId::StagesApart && f.severity == Severity::Warning)
     };
-    assert!(is_said(&[Stage::new(["k"]), Stage::new(["x"])]));
-    assert!(!is_said(&[Stage::new(["k"]), Stage::new(["k", "x"])]));
+    assert!(is_reported(&[Stage::new(["k"]), Stage::new(["x"])]));
+    assert!(!is_reported(&[Stage::new(["k"]), Stage::new(["k", "x"])]));
 }
 
 #[test]
@@ -136,7 +136,7 @@ fn stages_with_wrong_held_values_do_not_count_as_converged() {
 }
 
 #[test]
-fn stage_uses_its_own_method_and_window() {
+fn stage_uses_its_method_and_window() {
     let calibration = tanks(&[], None);
     let stages = [
         Stage::new(["qt.a1", "qt.a2"]).window(0.0, 30.0).method(NelderMead::default()),
@@ -169,9 +169,9 @@ fn limits_apply_to_all_stages_together() {
         assert_eq!(fit.report.termination, Termination::MaxEvaluations);
         assert_eq!(fit.stages.len(), 1 + usize::from(n > first), "{fit}");
     }
-    let own = Limits { max_evaluations: Some(4), ..Limits::default() };
+    let limits_of_stage = Limits { max_evaluations: Some(4), ..Limits::default() };
     let [one, two] = two();
-    let fit = calibration.fit_stages(&[one.limits(own), two], FitOptions::default()).unwrap();
+    let fit = calibration.fit_stages(&[one.limits(limits_of_stage), two], FitOptions::default()).unwrap();
     assert_eq!((fit.stages.len(), fit.stages[0].report.n_evaluations), (2, 4));
     assert!(!fit.report.is_success(), "{fit}");
 }

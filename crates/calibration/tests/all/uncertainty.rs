@@ -76,7 +76,7 @@ fn standard_errors_of_decay_match_closed_form() {
 }
 
 #[test]
-fn held_parameters_are_reported_as_known() {
+fn held_parameters_have_no_standard_error() {
     // The best value for the data is k = 1.5.
     let at_bound = decay([Parameter::new("k", 1.0).bounds(0.1, 1.2), Parameter::new("x", 1.0)]);
     let fit = at_bound.fit(FitOptions::default()).unwrap();
@@ -124,7 +124,7 @@ fn uncertainty_is_independent_of_workers_and_uses_no_evaluations() {
     assert_eq!(without.report.n_evaluations, fits[0].report.n_evaluations);
     assert!(without.uncertainty.is_none() && fits[0].uncertainty.as_ref().unwrap().n_simulations > 4);
     let cancelled = calibration
-        .uncertainty(&[1.0, 1.0], &UncertaintyOptions::default(), &RunContext::new().asking(&|| true))
+        .uncertainty(&[1.0, 1.0], &UncertaintyOptions::default(), &RunContext::new().polling(&|| true))
         .unwrap_err();
     assert!(matches!(cancelled, calibration::CalibrationError::Cancelled));
     assert!(calibration.uncertainty(&[1.0], &UncertaintyOptions::default(), &RunContext::new()).is_err());
@@ -233,10 +233,10 @@ fn outputs_have_separate_variances_unless_pooled() {
         [0, 1].map(|i| [0, 1].map(|j| a[i][0] * b[0][j] + a[i][1] * b[1][j]))
     };
     // The means of the sums of squares of h and v are linear in both variances.
-    let shares = of_output.map(|own| product(inverse, own));
+    let shares = of_output.map(|share| product(inverse, share));
     let trace = |a: [[f64; 2]; 2]| a[0][0] + a[1][1];
-    let own = |k: usize| 100.0 - 2.0 * trace(shares[k]) + trace(product(shares[k], shares[k]));
-    let (first, second, between) = (own(0), own(1), trace(product(shares[0], shares[1])));
+    let n_effective = |k: usize| 100.0 - 2.0 * trace(shares[k]) + trace(product(shares[k], shares[k]));
+    let (first, second, between) = (n_effective(0), n_effective(1), trace(product(shares[0], shares[1])));
     let (of_h, of_v) = (sum(0) + sum(100), sum(50) + sum(150));
     let of_both = first * second - between * between;
     let variances = [(second * of_h - between * of_v) / of_both, (first * of_v - between * of_h) / of_both];
@@ -397,7 +397,7 @@ fn preflight_reports_problems_of_the_start() {
     }
     let fit = ball.fit(FitOptions { preflight: true, ..FitOptions::default() }).unwrap();
     assert_eq!(fit.preflight.unwrap().findings, found.findings);
-    assert!(ball.preflight(&PreflightOptions::default(), &RunContext::new().asking(&|| true)).is_err());
+    assert!(ball.preflight(&PreflightOptions::default(), &RunContext::new().polling(&|| true)).is_err());
 }
 
 #[test]

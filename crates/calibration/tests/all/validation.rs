@@ -117,7 +117,7 @@ fn validation_rejects_invalid_sets() {
     let error = calibration.validate(
         &fit,
         &ValidationSet::Windows(vec![(0.0, 1.0)]),
-        &RunContext::new().asking(&|| true),
+        &RunContext::new().polling(&|| true),
     );
     assert!(matches!(error, Err(calibration::CalibrationError::Cancelled)));
 }

@@ -1,7 +1,7 @@
 //! Models with hidden state that no variable shows. Each result must equal the result of a fresh process.
 
 use crate::support::faulty;
-use crate::{ALONE, decay, open, own_size, settings};
+use crate::{ALONE, decay, memory_of_this_process, open, settings};
 use calibration::{Fit, FitOptions, ModelProcess, RunContext};
 use dfo::{AnyMethod, DifferentialEvolution, LeastSquares, Limits, Multistart, NelderMead, RunOptions};
 use fmi::worker::{Isolation, WorkerLimits};
@@ -65,17 +65,18 @@ fn fit_is_correct_when_the_model_has_hidden_state() {
             let fmu = open(&folder);
             let found = fitted(fmu.clone());
             let name = &*found.report.method;
-            let says_so = |fit: &Fit| fit.findings().iter().any(|finding| finding.sentence.contains(HIDDEN));
+            let reports_hidden_state =
+                |fit: &Fit| fit.findings().iter().any(|finding| finding.sentence.contains(HIDDEN));
             // From a start of 1, a method may never reach such values.
-            assert!(start < 2.2 || says_so(&found), "{name} {start}: {:?}", found.findings());
+            assert!(start < 2.2 || reports_hidden_state(&found), "{name} {start}: {:?}", found.findings());
             // The processes of another calibration of the same model give the same result.
             let again = fitted(fmu.clone());
             assert_eq!((&again.x, again.cost), (&found.x, found.cost), "{name} {start}");
-            assert!(start < 2.2 || says_so(&again), "{name} {start}");
+            assert!(start < 2.2 || reports_hidden_state(&again), "{name} {start}");
             let alone = decay(open(&folder), settings(Isolation::Process));
             assert_eq!(alone.cost(&found.x, &RunContext::new()).unwrap(), found.cost, "{name} {start}");
             let expected = fitted(open(&sound));
-            assert!(!says_so(&expected), "{name} {start}");
+            assert!(!reports_hidden_state(&expected), "{name} {start}");
             assert!((found.x[0] - 1.7).abs() < 0.05, "{name} {start}: {:?}", found.x);
         }
     }
@@ -148,7 +149,7 @@ fn hidden_state_is_detected_in_twenty_thousand_runs() {
     for run in 0..5 {
         calibration.cost(&point(run), &RunContext::new()).unwrap();
     }
-    let before = own_size();
+    let before = memory_of_this_process();
     for run in 0..20_000 {
         assert_eq!(
             calibration.residuals(&point(run), &RunContext::new()).unwrap(),
@@ -156,6 +157,6 @@ fn hidden_state_is_detected_in_twenty_thousand_runs() {
             "{run}"
         );
     }
-    let grown = own_size().saturating_sub(before);
+    let grown = memory_of_this_process().saturating_sub(before);
     assert!(grown < 8 << 20, "{grown} bytes");
 }

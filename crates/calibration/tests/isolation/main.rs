@@ -411,7 +411,7 @@ fn leaking_model_has_bounded_memory() {
 }
 
 /// Returns the resident memory of this process in bytes.
-fn own_size() -> u64 {
+fn memory_of_this_process() -> u64 {
     let text = std::fs::read_to_string("/proc/self/statm").unwrap();
     text.split(' ').nth(1).unwrap().parse::<u64>().unwrap() * 4096
 }
@@ -427,12 +427,12 @@ fn leaking_model_has_bounded_memory_in_twenty_thousand_runs() {
     let limited = SimulationSettings { memory_limit: Some(1 << 30), ..settings(Isolation::Process) };
     let calibration = decay(open(&folder), limited);
     assert!((fit(&calibration, 2, 500).x[0] - 1.7).abs() < 0.1);
-    let before = own_size();
+    let before = memory_of_this_process();
     for run in 0..20_000 {
         let cost = calibration.cost(&[1.7 + 1e-6 * f64::from(run)], &RunContext::new()).unwrap();
         assert!(cost < 0.01, "{run}: {cost}");
     }
-    let grown = own_size().saturating_sub(before);
+    let grown = memory_of_this_process().saturating_sub(before);
     assert!(grown < 8 << 20, "{grown} bytes");
     let found = fit(&calibration, 2, 500);
     assert!((found.x[0] - 1.7).abs() < 0.1, "{:?}", found.x);
@@ -472,8 +472,8 @@ const ZOO: [(&str, &str); 25] = [
 
 /// Returns remaining processes and folders of the workers of this process.
 fn left_behind() -> Vec<String> {
-    let own = std::process::id();
-    let prefix = format!("fmufit-worker-{own}-");
+    let process_id = std::process::id();
+    let prefix = format!("fmufit-worker-{process_id}-");
     let names = std::fs::read_dir(std::env::temp_dir()).unwrap().flatten();
     let mut left: Vec<_> = names.filter_map(|entry| entry.file_name().into_string().ok()).collect();
     left.retain(|name| name.starts_with(&prefix));
@@ -517,7 +517,7 @@ fn fits_end_cleanly_for_many_kinds_of_faults() {
 }
 
 /// Lines logged by the libraries.
-static SAID: Mutex<Vec<String>> = Mutex::new(Vec::new());
+static LOGGED: Mutex<Vec<String>> = Mutex::new(Vec::new());
 
 struct Listener;
 
@@ -527,7 +527,7 @@ impl log::Log for Listener {
     }
 
     fn log(&self, record: &log::Record<'_>) {
-        SAID.lock().unwrap().push(record.args().to_string());
+        LOGGED.lock().unwrap().push(record.args().to_string());
     }
 
     fn flush(&self) {}
@@ -549,7 +549,7 @@ fn helper_kills_its_template() {
     assert!(Command::new("kill").args(["-9", template.trim()]).status().unwrap().success(), "{template}");
     let error = calibration.cost(&[3.0], &RunContext::new()).unwrap_err().to_string();
     assert!(error.contains("segmentation fault in fmi2GetDerivatives"), "{error}");
-    let reported = SAID.lock().unwrap().join("\n");
+    let reported = LOGGED.lock().unwrap().join("\n");
     let expected =
         "the process ended with an unknown status, because its parent process had ended before: killed";
     assert!(reported.contains(expected) && reported.contains("in fmi2GetDerivatives at t = "), "{reported}");

@@ -70,9 +70,9 @@ impl<'a> BatchView<'a> {
 
     /// Sets the residuals of point `k`, if the query requests them.
     pub fn set_residuals(&self, k: usize, residuals: &[f64]) {
-        let mut own = self.details[k].residuals.borrow_mut();
-        own.clear();
-        own.extend_from_slice(residuals);
+        let mut copy = self.details[k].residuals.borrow_mut();
+        copy.clear();
+        copy.extend_from_slice(residuals);
     }
 }
 

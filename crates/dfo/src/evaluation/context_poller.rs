@@ -12,7 +12,7 @@ const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Checks the context of a run during the evaluation of a batch.
 pub(crate) struct ContextPoller<'a> {
     context: RunContext<'a>,
-    last_asked: Cell<Option<Instant>>,
+    last_check: Cell<Option<Instant>>,
 }
 
 /// Reason why no more evaluations may start.
@@ -24,7 +24,7 @@ pub(crate) enum StopCause {
 
 impl<'a> ContextPoller<'a> {
     pub(crate) fn new(context: RunContext<'a>) -> Self {
-        Self { context, last_asked: Cell::default() }
+        Self { context, last_check: Cell::default() }
     }
 
     /// Returns the part of the context that evaluations on other threads see.
@@ -43,9 +43,9 @@ impl<'a> ContextPoller<'a> {
         }
         let now = Instant::now();
         if let Some(ask) = self.context.function()
-            && self.last_asked.get().is_none_or(|t| now - t >= POLL_INTERVAL)
+            && self.last_check.get().is_none_or(|t| now - t >= POLL_INTERVAL)
         {
-            self.last_asked.set(Some(now));
+            self.last_check.set(Some(now));
             if ask() {
                 return Some(StopCause::Interrupted);
             }

@@ -6,7 +6,7 @@ use super::store::{EarlyOutcome, Store};
 use crate::error::Error;
 use crate::method_interface::interface::{AnswersSoFar, Batch};
 use crate::method_interface::tolerances::Limits;
-use crate::outcome::answer::{Answer, Answers, Outcome, Want};
+use crate::outcome::answer::{Answer, Answers, EvaluationKind, Outcome};
 use crate::outcome::termination::Termination;
 use crate::outcome::trace::SpeculativeEntry;
 use crate::problem::objective::Query;
@@ -72,7 +72,7 @@ impl CountedBatch {
     pub(crate) fn open(&mut self, batch: &Batch, limits: &Limits) {
         let mut left = self.left(limits);
         self.work.start(batch.n(), batch.index(), 0);
-        self.work.set_want(batch.want());
+        self.work.set_kind(batch.kind());
         self.work_places.clear();
         self.sources.clear();
         reset(&mut self.answers, batch.len());
@@ -83,8 +83,8 @@ impl CountedBatch {
             let (x, cutoff) = (batch.point(k), batch.cutoff(k));
             let source = if self.reached.is_some() {
                 Source::Forbidden
-            } else if let Some(known) = self.store.get(x, batch.query(k)) {
-                self.answers[k].clone_from(known);
+            } else if let Some(cached) = self.store.get(x, batch.query(k)) {
+                self.answers[k].clone_from(cached);
                 Source::Cached
             } else if self.store.is_above(x) {
                 self.again(batch, k)
@@ -108,11 +108,11 @@ impl CountedBatch {
                 }
             };
             self.sources.push(source);
-            let known = matches!(source, Source::Cached | Source::Replayed);
+            let cached = matches!(source, Source::Cached | Source::Replayed);
             let ends = |answer: &Answer| {
                 matches!(answer.outcome, Outcome::Abort(_)) || self.is_target(answer, cutoff)
             };
-            if known && self.reached.is_none() && ends(&self.answers[k]) {
+            if cached && self.reached.is_none() && ends(&self.answers[k]) {
                 self.reached = Some(k);
             }
         }
@@ -126,7 +126,7 @@ impl CountedBatch {
             return Source::Copy(twin);
         }
         if let Some(answer) = self.evaluated_before(batch, k) {
-            self.store.insert(batch.point(k), &answer, batch.want());
+            self.store.insert(batch.point(k), &answer, batch.kind());
             self.answers[k] = answer;
             return Source::Cached;
         }
@@ -144,9 +144,9 @@ impl CountedBatch {
     /// Returns the answer for a point evaluated before the run was resumed, or ahead of need.
     fn evaluated_before(&mut self, batch: &Batch, k: usize) -> Option<Answer> {
         match self.store.take(batch.point(k), &batch.query(k), self.cutoff_use)? {
-            Ok((known, is_of_path)) => {
+            Ok((stored, is_of_path)) => {
                 self.ledger.n_reached += usize::from(!is_of_path);
-                Some(known)
+                Some(stored)
             }
             Err(useless) => {
                 self.ledger.trace.push_speculative(useless.entry);
@@ -199,7 +199,7 @@ impl CountedBatch {
     fn is_target(&self, answer: &Answer, cutoff: f64) -> bool {
         let value = answer.outcome.value().filter(|value| *value <= cutoff);
         matches!((value, self.target), (Some(value), Some(target)) if value <= target)
-            && !(self.work.want() == Want::Residuals && answer.residuals_failure().is_some())
+            && !(self.work.kind() == EvaluationKind::Residuals && answer.residuals_failure().is_some())
     }
 
     /// True if no point after point `k` of `work` belongs to the path.
@@ -242,8 +242,8 @@ impl CountedBatch {
     }
 
     /// Returns the evaluations of this batch that remain valid if the run ends here.
-    pub(crate) fn known(&self, batch: &Batch, answers: &[Answer]) -> Vec<EarlyOutcome> {
-        let mut known = Vec::new();
+    pub(crate) fn finished_evaluations(&self, batch: &Batch, answers: &[Answer]) -> Vec<EarlyOutcome> {
+        let mut finished = Vec::new();
         let mut new = answers.iter();
         for (k, source) in self.sources.iter().enumerate() {
             let answer = match source {
@@ -251,14 +251,14 @@ impl CountedBatch {
                 Source::Replayed => self.answers.get(k),
                 Source::Cached | Source::Copy(_) | Source::Forbidden => continue,
             };
-            if let Some(answer) = answer.filter(|answer| answer.outcome.is_known()) {
+            if let Some(answer) = answer.filter(|answer| answer.outcome.is_conclusive()) {
                 let (id, x) = (batch.id(k), batch.point(k).to_vec());
-                let (batch, cutoff, answer) = (batch.index(), batch.cutoff(k), answer.only(batch.want()));
+                let (batch, cutoff, answer) = (batch.index(), batch.cutoff(k), answer.only(batch.kind()));
                 let entry = SpeculativeEntry { id, batch, x, cutoff, answer };
-                known.push(EarlyOutcome { entry, is_of_path: true });
+                finished.push(EarlyOutcome { entry, is_of_path: true });
             }
         }
-        known
+        finished
     }
 
     /// Merges the answers to `work`, in order, and records everything in the ledger.
@@ -284,7 +284,7 @@ impl CountedBatch {
                 Source::Replayed | Source::Cached | Source::Forbidden => {}
             }
             // Also checks answers from elsewhere, which may come from a file or a user.
-            if batch.want() == Want::Residuals {
+            if batch.kind() == EvaluationKind::Residuals {
                 self.ledger.count_residuals(batch.point(k), &self.answers[k])?;
                 self.answers[k].check_residuals();
             }
@@ -295,7 +295,7 @@ impl CountedBatch {
                 Source::Cached | Source::Copy(_) | Source::Forbidden => false,
             };
             if remembers {
-                self.store.insert(batch.point(k), &self.answers[k], batch.want());
+                self.store.insert(batch.point(k), &self.answers[k], batch.kind());
             }
         }
         if self.store.has_replays() {
@@ -340,7 +340,7 @@ impl CountedBatch {
     pub(crate) fn reported(&mut self, batch: &Batch) -> &mut Answers {
         self.reported.clear();
         for answer in &mut self.answers {
-            if batch.want() == Want::Residuals && answer.outcome.value().is_some() {
+            if batch.kind() == EvaluationKind::Residuals && answer.outcome.value().is_some() {
                 self.reported.push_taken(answer.outcome.clone(), &mut answer.residuals);
             } else {
                 self.reported.push(answer.outcome.clone(), &[]);
@@ -375,7 +375,7 @@ impl AnswersSoFar for UnderWay<'_> {
             source if source.is_work() => self.answers.get(self.round.n_before(k)),
             _ => self.round.answers.get(k),
         };
-        answer.filter(|answer| answer.outcome.is_known())
+        answer.filter(|answer| answer.outcome.is_conclusive())
     }
 
     fn ahead(&self, x: &[f64], query: &Query<'_>) -> Option<Answer> {

@@ -2,7 +2,7 @@
 
 use crate::error::{Error, NothingFound};
 use crate::method_interface::interface::Batch;
-use crate::outcome::answer::{Answer, Best, Failure, Outcome, Want};
+use crate::outcome::answer::{Answer, Best, EvaluationKind, Failure, Outcome};
 use crate::outcome::trace::{Record, SpeculativeEntry, Trace};
 use serde::{Deserialize, Serialize};
 
@@ -103,13 +103,13 @@ impl Ledger {
             }
             if matches!(sources[k], Source::Run | Source::Begun | Source::Replayed) {
                 self.enter(batch, k, answer);
-            } else if outcome.is_known() {
+            } else if outcome.is_conclusive() {
                 self.n_cached += 1;
             }
             // A cost above its cutoff is ignored, because the evaluation might have been abandoned.
             let Some(value) = outcome.value().filter(|v| *v <= batch.cutoff(k)) else { continue };
             let is_best = self.best.offer(batch.point(k), value);
-            let wanted = batch.want() == Want::Residuals;
+            let wanted = batch.kind() == EvaluationKind::Residuals;
             // A cost that was known without residuals may be evaluated again with them.
             if is_best || wanted && self.best.get() == Some((batch.point(k), value)) {
                 self.best_residuals.clear();
@@ -153,9 +153,9 @@ impl Ledger {
             id: batch.id(k),
             batch: batch.index(),
             cutoff: batch.cutoff(k),
-            used: outcome.is_known(),
+            used: outcome.is_conclusive(),
             seconds: answer.seconds,
-            residuals: if self.keeps_residuals { answer.only(batch.want()).residuals } else { Vec::new() },
+            residuals: if self.keeps_residuals { answer.only(batch.kind()).residuals } else { Vec::new() },
         };
         self.trace.push(batch.point(k), record);
     }

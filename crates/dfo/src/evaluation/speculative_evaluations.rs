@@ -36,7 +36,7 @@ pub(crate) struct SpeculativeEvaluations {
     under_way: Vec<SpeculativePoint>,
     requested: Batch,
     spare: Vec<Vec<f64>>,
-    /// Hashes of the points of `asked`, and later of the points in progress.
+    /// Hashes of the points of `requested`, and later of the points in progress.
     hashes: Vec<u64>,
     /// True if answers come one at a time, which means that a speculative evaluation was running when a round
     /// began.
@@ -108,7 +108,7 @@ impl SpeculativeEvaluations {
         }
         let Self { under_way, requested, spare, hashes, flows } = self;
         requested.start(round.work.n(), round.work.index(), 0);
-        requested.set_want(round.work.want());
+        requested.set_kind(round.work.kind());
         if wanted > 0 {
             // Requests more points than fit, so that running points are not cancelled when other points
             // precede them.

@@ -3,7 +3,7 @@
 //! of need or before the run was resumed, which count when the path reaches them.
 
 use super::evaluator::CutoffUse;
-use crate::outcome::answer::{Answer, Outcome, Want};
+use crate::outcome::answer::{Answer, EvaluationKind, Outcome};
 use crate::outcome::trace::SpeculativeEntry;
 use crate::problem::objective::Query;
 use serde::{Deserialize, Serialize};
@@ -31,7 +31,7 @@ pub(crate) struct EarlyOutcome {
 #[serde(from = "Stored", into = "Stored")]
 pub(crate) struct Store {
     capacity: usize,
-    known: HashMap<Key, Answer>,
+    cached: HashMap<Key, Answer>,
     /// Keys in insertion order.
     order: VecDeque<Key>,
     /// Keys that are never evicted.
@@ -63,7 +63,7 @@ impl From<Stored> for Store {
             store.pin(&point(key), answer);
         }
         for (key, answer) in stored.entries {
-            store.insert(&point(key), &answer, Want::Residuals);
+            store.insert(&point(key), &answer, EvaluationKind::Residuals);
         }
         for early in stored.early {
             store.keep(early);
@@ -74,7 +74,7 @@ impl From<Stored> for Store {
 
 impl From<Store> for Stored {
     fn from(store: Store) -> Self {
-        let entry = |k: &[u64]| store.known.get(k).map(|o| (k.to_vec(), o.clone()));
+        let entry = |k: &[u64]| store.cached.get(k).map(|o| (k.to_vec(), o.clone()));
         Self {
             capacity: store.capacity,
             pinned: store.pinned.iter().filter_map(|k| entry(k)).collect(),
@@ -101,7 +101,7 @@ impl Store {
     pub(crate) fn pin(&mut self, x: &[f64], answer: Answer) {
         self.key(x);
         let key: Box<[u64]> = self.key.as_slice().into();
-        if self.known.insert(key.clone(), answer).is_none() {
+        if self.cached.insert(key.clone(), answer).is_none() {
             self.pinned.push(key);
         }
     }
@@ -118,54 +118,54 @@ impl Store {
 
     /// True if the store contains a counted evaluation of the point.
     pub(crate) fn remembers(&self, x: &[f64]) -> bool {
-        !self.known.is_empty() && self.known.contains_key(&bits(x))
+        !self.cached.is_empty() && self.cached.contains_key(&bits(x))
     }
 
     /// True if the store contains any evaluation of the point.
     pub(crate) fn contains(&self, x: &[f64]) -> bool {
-        !(self.known.is_empty() && self.places.is_empty()) && {
+        !(self.cached.is_empty() && self.places.is_empty()) && {
             let key = bits(x);
-            self.known.contains_key(&key) || self.places.contains_key(&key)
+            self.cached.contains_key(&key) || self.places.contains_key(&key)
         }
     }
 
     /// Returns the stored answer for a point, if it answers the query. "Above c" answers only queries with a
     /// cutoff up to c. A cost without residuals answers only queries without residuals.
     pub(crate) fn get(&mut self, x: &[f64], query: Query<'_>) -> Option<&Answer> {
-        if self.known.is_empty() {
+        if self.cached.is_empty() {
             return None;
         }
         self.key(x);
-        let answers = |known: &&Answer| {
-            known.answers(query.want) && !matches!(known.outcome, Outcome::Above(c) if c < query.cutoff)
+        let answers = |entry: &&Answer| {
+            entry.answers(query.kind) && !matches!(entry.outcome, Outcome::Above(c) if c < query.cutoff)
         };
-        self.known.get(&self.key[..]).filter(answers)
+        self.cached.get(&self.key[..]).filter(answers)
     }
 
     /// True if the point is only known to be above some cutoff.
     pub(crate) fn is_above(&mut self, x: &[f64]) -> bool {
         self.key(x);
-        matches!(self.known.get(&self.key[..]), Some(Answer { outcome: Outcome::Above(_), .. }))
+        matches!(self.cached.get(&self.key[..]), Some(Answer { outcome: Outcome::Above(_), .. }))
     }
 
     /// Stores an evaluation, unless another evaluation of the point could have a different outcome.
-    pub(crate) fn insert(&mut self, x: &[f64], answer: &Answer, want: Want) {
+    pub(crate) fn insert(&mut self, x: &[f64], answer: &Answer, kind: EvaluationKind) {
         if self.capacity == 0 || !answer.outcome.is_lasting() {
             return;
         }
         self.key(x);
-        if let Some(known) = self.known.get_mut(&self.key[..]) {
-            *known = answer.only(want);
+        if let Some(entry) = self.cached.get_mut(&self.key[..]) {
+            *entry = answer.only(kind);
             return;
         }
         while self.order.len() >= self.capacity {
             if let Some(oldest) = self.order.pop_front() {
-                self.known.remove(&oldest);
+                self.cached.remove(&oldest);
             }
         }
         let key: Box<[u64]> = self.key.as_slice().into();
         self.order.push_back(key.clone());
-        self.known.insert(key, answer.only(want));
+        self.cached.insert(key, answer.only(kind));
     }
 
     /// Keeps an early evaluation. Returns an evaluation that is not kept: the oldest if the store is full, or
@@ -222,9 +222,9 @@ impl Store {
     /// Returns the known answer for a point if it answers this query, including early evaluations.
     pub(crate) fn look_up(&self, x: &[f64], query: &Query<'_>, cutoff_use: CutoffUse) -> Option<Answer> {
         let key = bits(x);
-        if let Some(known) = self.known.get(&key) {
-            let is_below = matches!(known.outcome, Outcome::Above(c) if c < query.cutoff);
-            return (known.answers(query.want) && !is_below).then(|| known.only(query.want));
+        if let Some(entry) = self.cached.get(&key) {
+            let is_below = matches!(entry.outcome, Outcome::Above(c) if c < query.cutoff);
+            return (entry.answers(query.kind) && !is_below).then(|| entry.only(query.kind));
         }
         let early = self.early.get(self.places.get(&key)?.front()?)?;
         early.entry.answer_to(query, cutoff_use)
@@ -260,15 +260,15 @@ impl Store {
     /// True if all points have length `n`. A store read from a file may be inconsistent.
     pub(crate) fn is_sound(&self, n: usize) -> bool {
         self.early.values().all(|early| early.entry.x.len() == n)
-            && self.known.keys().all(|key| key.len() == n)
+            && self.cached.keys().all(|key| key.len() == n)
     }
 }
 
 impl SpeculativeEntry {
     /// Creates an entry for an answer that the path has not counted.
     pub(crate) fn new(id: u64, batch: u64, x: Vec<f64>, query: Query<'_>, answer: Answer) -> Self {
-        let mut answer = answer.only(query.want);
-        if query.want == Want::Residuals {
+        let mut answer = answer.only(query.kind);
+        if query.kind == EvaluationKind::Residuals {
             answer.check_residuals();
         }
         Self { id, batch, x, cutoff: query.cutoff, answer }
@@ -277,10 +277,11 @@ impl SpeculativeEntry {
     /// Returns the answer that the objective would have given to this query, if it can be derived.
     pub(crate) fn answer_to(&self, query: &Query<'_>, cutoff_use: CutoffUse) -> Option<Answer> {
         let cutoff = query.cutoff;
-        let above = || Some(Answer { outcome: Outcome::Above(cutoff), ..self.answer.only(Want::Cost) });
+        let above =
+            || Some(Answer { outcome: Outcome::Above(cutoff), ..self.answer.only(EvaluationKind::Cost) });
         match &self.answer.outcome {
             Outcome::Value(value) if *value > cutoff && cutoff_use == CutoffUse::Yes => above(),
-            Outcome::Value(_) => self.answer.answers(query.want).then(|| self.answer.only(query.want)),
+            Outcome::Value(_) => self.answer.answers(query.kind).then(|| self.answer.only(query.kind)),
             Outcome::Above(c) => {
                 if *c >= cutoff {
                     above()
@@ -304,22 +305,22 @@ mod tests {
     use crate::values::encoding::{decode, encode};
 
     fn get(store: &mut Store, x: f64, cutoff: f64) -> Option<Outcome> {
-        store.get(&[x], Query::new(0, 0, cutoff)).map(|known| known.outcome.clone())
+        store.get(&[x], Query::new(0, 0, cutoff)).map(|answer| answer.outcome.clone())
     }
 
     fn insert(store: &mut Store, x: f64, outcome: Outcome) {
-        store.insert(&[x], &outcome.into(), Want::Cost);
+        store.insert(&[x], &outcome.into(), EvaluationKind::Cost);
     }
 
     #[test]
     fn store_evicts_oldest_entries_first() {
         let mut store = Store::new(2);
         (0..3).map(f64::from).for_each(|k| insert(&mut store, k, Outcome::Value(k)));
-        let known = |c: &mut Store, x: f64| get(c, x, f64::INFINITY);
-        assert_eq!((known(&mut store, 0.0), known(&mut store, 2.0)), (None, Some(Outcome::Value(2.0))));
+        let outcome = |c: &mut Store, x: f64| get(c, x, f64::INFINITY);
+        assert_eq!((outcome(&mut store, 0.0), outcome(&mut store, 2.0)), (None, Some(Outcome::Value(2.0))));
         let mut back: Store = decode(&encode(&store).unwrap()).unwrap();
         insert(&mut back, 9.0, Outcome::Value(9.0));
-        assert_eq!((known(&mut back, 1.0), known(&mut back, 2.0)), (None, Some(Outcome::Value(2.0))));
+        assert_eq!((outcome(&mut back, 1.0), outcome(&mut back, 2.0)), (None, Some(Outcome::Value(2.0))));
     }
 
     #[test]
@@ -336,8 +337,8 @@ mod tests {
         pinned.pin(&[5.0], Outcome::Value(1.0).into());
         insert(&mut pinned, 6.0, Outcome::Value(2.0));
         let mut back: Store = decode(&encode(&pinned).unwrap()).unwrap();
-        let known = (get(&mut back, 5.0, 1.0), get(&mut back, 6.0, 1.0));
-        assert!(known == (Some(Outcome::Value(1.0)), None) && back.is_off());
+        let outcomes = (get(&mut back, 5.0, 1.0), get(&mut back, 6.0, 1.0));
+        assert!(outcomes == (Some(Outcome::Value(1.0)), None) && back.is_off());
         let mut off = Store::new(0);
         insert(&mut off, 1.0, Outcome::Value(1.0));
         assert!(off.is_off() && get(&mut off, 1.0, 1.0).is_none());
@@ -346,11 +347,11 @@ mod tests {
     #[test]
     fn cost_does_not_answer_query_for_residuals() {
         let mut store = Store::new(4);
-        let query = Query::new(0, 0, f64::INFINITY).want(Want::Residuals);
+        let query = Query::new(0, 0, f64::INFINITY).kind(EvaluationKind::Residuals);
         let answer = Answer { residuals: vec![1.0], ..Outcome::Value(1.0).into() };
-        store.insert(&[1.0], &answer, Want::Cost);
+        store.insert(&[1.0], &answer, EvaluationKind::Cost);
         assert_eq!(store.get(&[1.0], query), None);
-        store.insert(&[1.0], &answer, Want::Residuals);
+        store.insert(&[1.0], &answer, EvaluationKind::Residuals);
         assert_eq!(store.get(&[1.0], query), Some(&answer));
         insert(&mut store, 2.0, Outcome::failed("no"));
         assert!(store.get(&[2.0], query).is_some());

@@ -148,7 +148,7 @@ impl<'a> Shared<'a> {
             if over.load(Ordering::Relaxed) {
                 answer.clear();
             } else {
-                call(self.objective, x, &query.ended_by(self.signals.with_own_flag(over)), answer);
+                call(self.objective, x, &query.ended_by(self.signals.with_evaluation_flag(over)), answer);
             }
             // The receiver is dropped only while the calling thread unwinds.
             let _ = self.answered.send(job);

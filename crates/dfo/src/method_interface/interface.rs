@@ -4,7 +4,7 @@
 use crate::error::Error;
 use crate::method_interface::linear_model::LinearModel;
 use crate::method_interface::tolerances::{ToleranceTests, Tolerances};
-use crate::outcome::answer::{Answer, Answers, Want};
+use crate::outcome::answer::{Answer, Answers, EvaluationKind};
 use crate::outcome::termination::Termination;
 use crate::problem::loss::RobustLoss;
 use crate::problem::objective::Query;
@@ -20,7 +20,8 @@ use std::fmt;
 /// batch for a whole run: after the first rounds, `ask` allocates nothing.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Batch {
-    want: Want,
+    #[serde(rename = "want")]
+    kind: EvaluationKind,
     n: usize,
     index: u64,
     first_id: u64,
@@ -44,7 +45,7 @@ impl Batch {
 
     /// Empties the batch, sets its numbers and requests costs; for methods. `n` is the length of the points.
     pub fn start(&mut self, n: usize, index: u64, first_id: u64) {
-        self.want = Want::Cost;
+        self.kind = EvaluationKind::Cost;
         self.n = n;
         self.index = index;
         self.first_id = first_id;
@@ -66,13 +67,13 @@ impl Batch {
     }
 
     /// Sets the kind of values requested for all points; for methods. With residuals there are no cutoffs.
-    pub fn set_want(&mut self, want: Want) {
-        self.want = want;
+    pub fn set_kind(&mut self, kind: EvaluationKind) {
+        self.kind = kind;
     }
 
     /// Returns the kind of values requested for all points.
-    pub fn want(&self) -> Want {
-        self.want
+    pub fn kind(&self) -> EvaluationKind {
+        self.kind
     }
 
     /// Adds a point (user's units) with its cutoff (`f64::INFINITY` for none); for methods.
@@ -161,8 +162,8 @@ impl Batch {
 
     /// Returns the query to the objective for point `k`.
     pub fn query(&self, k: usize) -> Query<'static> {
-        let cutoff = if self.want == Want::Residuals { f64::INFINITY } else { self.cutoffs[k] };
-        Query::new(self.id(k), self.index, cutoff).want(self.want)
+        let cutoff = if self.kind == EvaluationKind::Residuals { f64::INFINITY } else { self.cutoffs[k] };
+        Query::new(self.id(k), self.index, cutoff).kind(self.kind)
     }
 }
 
@@ -241,8 +242,8 @@ pub(crate) fn name_or_number<'de, D: Deserializer<'de>, T: Copy>(
         }
 
         fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<T, E> {
-            let known = self.1.iter().find(|(known, _)| known.eq_ignore_ascii_case(name));
-            known.map(|(_, value)| *value).ok_or_else(|| E::invalid_value(Unexpected::Str(name), &self))
+            let listed = self.1.iter().find(|(listed, _)| listed.eq_ignore_ascii_case(name));
+            listed.map(|(_, value)| *value).ok_or_else(|| E::invalid_value(Unexpected::Str(name), &self))
         }
     }
     deserializer.deserialize_any(NameOrNumber(expected, names, of_number))
@@ -479,18 +480,18 @@ pub trait Method {
     /// Adds points that the path may need after the points just requested. Their cutoffs must be at least as
     /// high as on the path. First come the points that the path will reach unless the run ends
     /// ([`Batch::all_certain`]), in its order, including known ones. Other points follow, the most probable
-    /// first. Adds at most `wanted` points that are not `known`.
+    /// first. Adds at most `wanted` points that are not in `answers_so_far`.
     ///
     /// The outcomes are not told to the method. They are available when the path requests the points. Must
     /// not change the behaviour of the method.
-    fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
-        let _ = (wanted, known, batch);
+    fn speculate(&mut self, wanted: usize, answers_so_far: &dyn AnswersSoFar, batch: &mut Batch) {
+        let _ = (wanted, answers_so_far, batch);
     }
 
     /// Receives the answers to the last batch, in request order. Some points have no usable outcome: they
     /// were not evaluated ([`Outcome::Skipped`](crate::Outcome::Skipped), or too few answers), or their
-    /// outcome is unknown (see [`Outcome::is_known`](crate::Outcome::is_known)). The method requests such
-    /// points again if it needs them.
+    /// outcome is unknown (see [`Outcome::is_conclusive`](crate::Outcome::is_conclusive)). The method
+    /// requests such points again if it needs them.
     ///
     /// # Errors
     /// Returns an error if no batch was requested, or if there are more answers than points.

@@ -131,16 +131,20 @@ impl Covariance {
         let mut matrix = vec![0.0; n * n];
         for (a, &i) in free.iter().enumerate() {
             for (b, &j) in free.iter().enumerate() {
-                let known = degrees_of_freedom > 0 && (determined[a] || determined[b]);
-                matrix[i * n + j] = match known {
+                let is_determined = degrees_of_freedom > 0 && (determined[a] || determined[b]);
+                matrix[i * n + j] = match is_determined {
                     true => inverse[(a, b)] * (variance.sqrt() / lengths[a]) * (variance.sqrt() / lengths[b]),
                     false if a == b => f64::INFINITY,
                     false => f64::NAN,
                 };
             }
         }
-        let undetermined: Vec<usize> =
-            free.iter().zip(&determined).filter(|(_, known)| !**known).map(|(index, _)| *index).collect();
+        let undetermined: Vec<usize> = free
+            .iter()
+            .zip(&determined)
+            .filter(|(_, is_determined)| !**is_determined)
+            .map(|(index, _)| *index)
+            .collect();
         Some(Self { matrix, variance, degrees_of_freedom, undetermined, held })
     }
 

@@ -276,32 +276,33 @@ impl AnyMethod {
 }
 
 /// Returns the first method of the list that satisfies the predicate, or the error for an unknown method.
-fn listed(asked: &str, is_it: impl Fn(&Listed) -> bool) -> Result<AnyMethod, Error> {
+fn listed(given: &str, is_it: impl Fn(&Listed) -> bool) -> Result<AnyMethod, Error> {
     if let Some(method) = LIST.iter().find(|method| is_it(method)) {
         return Ok((method.options)());
     }
-    let known = LIST.iter().map(|Listed { name, number, .. }| match number {
+    let available = LIST.iter().map(|Listed { name, number, .. }| match number {
         Some(number) => format!("{name} ({number})"),
         None => (*name).to_owned(),
     });
-    let known: Vec<String> = known.chain(["auto".to_owned()]).collect();
-    let hint = meant(asked).map_or_else(String::new, |name| format!("; did you mean '{name}'?"));
-    Err(Error::UnknownMethod { name: asked.to_owned(), hint, known: known.join(", ") })
+    let available: Vec<String> = available.chain(["auto".to_owned()]).collect();
+    let hint = meant(given).map_or_else(String::new, |name| format!("; did you mean '{name}'?"));
+    Err(Error::UnknownMethod { name: given.to_owned(), hint, available: available.join(", ") })
 }
 
 /// Returns the method most likely meant by an unknown name. This method solves the same problems as the named
 /// one, or its name differs by a few letters.
-fn meant(asked: &str) -> Option<&'static str> {
-    let asked = folded(asked);
-    if let Some(method) = LIST.iter().find(|m| m.similar.iter().any(|name| folded(name) == asked)) {
+fn meant(given: &str) -> Option<&'static str> {
+    let given = folded(given);
+    if let Some(method) = LIST.iter().find(|m| m.similar.iter().any(|name| folded(name) == given)) {
         return Some(method.name);
     }
     let names = LIST.iter().flat_map(|m| {
         m.also.iter().chain(m.similar).chain([&m.name]).map(move |name| (m.name, folded(name)))
     });
-    let near = names.map(|(name, known)| (edits(&asked, &known), known.len(), name)).min()?;
+    let near =
+        names.map(|(name, listed_name)| (edits(&given, &listed_name), listed_name.len(), name)).min()?;
     // A third of the letters may differ.
-    (3 * near.0 <= near.1.max(asked.chars().count())).then_some(near.2)
+    (3 * near.0 <= near.1.max(given.chars().count())).then_some(near.2)
 }
 
 impl Default for AnyMethod {
@@ -317,11 +318,13 @@ impl FromStr for AnyMethod {
     /// Parses the name of a method: short, full, or as in SciPy. Case and separators between words are
     /// ignored.
     fn from_str(name: &str) -> Result<Self, Error> {
-        let asked = folded(name);
-        if asked == "auto" {
+        let given = folded(name);
+        if given == "auto" {
             return Ok(Self::Auto(Auto::default()));
         }
-        listed(name, |method| method.also.iter().chain([&method.name]).any(|known| folded(known) == asked))
+        listed(name, |method| {
+            method.also.iter().chain([&method.name]).any(|name_of_method| folded(name_of_method) == given)
+        })
     }
 }
 
@@ -485,11 +488,11 @@ impl AnyMethod {
             let options = given.map(|(option, value)| (option.clone(), value.clone())).collect();
             return Ok(Self::Auto(Auto { search, options }));
         }
-        let (name, known) = (self.name(), self.option_names()?);
+        let (name, available) = (self.name(), self.option_names()?);
         let (mut method, mut form) = (self.clone(), Value::of(&self)?);
         for (option, given) in options {
-            let place = if known.contains(option) { place(&mut form, option) } else { None };
-            let Some(place) = place else { return Err(unknown(name, option, &known).into()) };
+            let place = if available.contains(option) { place(&mut form, option) } else { None };
+            let Some(place) = place else { return Err(unknown(name, option, &available).into()) };
             let is_optional = *place == Value::Nothing;
             *place = tagged(option, given.clone());
             method = form.read("method").map_err(|mut error| {
@@ -529,7 +532,7 @@ impl Auto {
             self.search == Search::Local && class.kinds.iter().all(|kind| *kind == ParameterKind::Continuous);
         let (mut method, reason) = AnyMethod::chosen_for(&ProblemClass { search: self.search, ..*class })?;
         let mut reason = reason.to_owned();
-        let own = method.option_names()?;
+        let of_method = method.option_names()?;
         let mut options = self.options.clone();
         let plan = match options.get("batch") {
             Some(plan @ Value::Text(word)) if !method.takes("batch", plan) => {
@@ -544,7 +547,7 @@ impl Auto {
             && let Some((_, word)) = plan.filter(|(plan, _)| simplex.takes("batch", plan))
         {
             (method, reason) = (simplex, format!("the batch plan '{word}' belongs to nelder-mead"));
-        } else if can_take_simplex && let Some(option) = options.keys().find(|o| !own.contains(*o)) {
+        } else if can_take_simplex && let Some(option) = options.keys().find(|o| !of_method.contains(*o)) {
             let of_simplex = simplex.option_names()?;
             if options.keys().all(|option| of_simplex.contains(option)) {
                 (method, reason) = (simplex, format!("the option '{option}' belongs to nelder-mead"));

@@ -137,7 +137,7 @@ impl MethodOptions for Barrier {
             mu: self.mu,
             options: self.clone(),
             setup,
-            asked: Batch::new(),
+            requested: Batch::new(),
             cutoffs: Vec::new(),
             translated: Answers::default(),
             working: vec![0.0; space.n_free()],
@@ -214,7 +214,8 @@ pub struct BarrierState {
     mu: Option<f64>,
     inner: NelderMeadState,
     /// The last requested batch, with the cutoffs of the inner method.
-    asked: Batch,
+    #[serde(rename = "asked")]
+    requested: Batch,
     /// The cutoffs passed to the objective.
     cutoffs: Vec<f64>,
     #[serde(skip)]
@@ -247,7 +248,7 @@ impl BarrierState {
             && space.bounds().contains(&self.stage_start)
             && self.schedule.len() <= MAX_STAGES
             && self.schedule.iter().all(|stage| is_point(&stage.x))
-            && self.asked.is_sound(space.n())
+            && self.requested.is_sound(space.n())
             && self.best.is_sound(space.n())
             && {
                 let inner = inner_setup(&self.setup, &self.stage_start, self.schedule.len());
@@ -292,13 +293,13 @@ impl BarrierState {
 
     /// Sets the first barrier parameter from the first known cost.
     fn settle_mu(&mut self, outcomes: &[Outcome]) {
-        let known = outcomes.iter().position(|o| o.value().is_some());
-        let Some((k, cost)) = known.and_then(|k| outcomes[k].value().map(|v| (k, v))) else { return };
+        let first_finite = outcomes.iter().position(|o| o.value().is_some());
+        let Some((k, cost)) = first_finite.and_then(|k| outcomes[k].value().map(|v| (k, v))) else { return };
         if self.f_0 == 0.0 {
             self.f_0 = cost.abs();
         }
         if self.mu.is_none() {
-            let x = self.asked.point(k).to_vec();
+            let x = self.requested.point(k).to_vec();
             let barrier = self.barrier(&x);
             let mu = 0.1 * cost.abs() / barrier;
             self.mu = Some(if mu > 0.0 && mu.is_finite() { mu } else { 0.1 });
@@ -367,34 +368,34 @@ impl Method for BarrierState {
             return batch.start(self.setup.space.n(), self.n_batches, self.n_points);
         }
         self.inner.ask(batch);
-        self.asked.clone_from(batch);
+        self.requested.clone_from(batch);
         batch.renumber(self.n_batches + batch.index(), self.n_points);
         self.translate_cutoffs(batch, 0);
         self.cutoffs.clear();
         self.cutoffs.extend((0..batch.len()).map(|k| batch.cutoff(k)));
     }
 
-    fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
+    fn speculate(&mut self, wanted: usize, answers_so_far: &dyn AnswersSoFar, batch: &mut Batch) {
         let first = batch.len();
         // Points of the next stage are not predicted.
         if self.ended.is_none() {
-            self.inner.speculate(wanted, known, batch);
+            self.inner.speculate(wanted, answers_so_far, batch);
             self.translate_cutoffs(batch, first);
         }
     }
 
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
         let outcomes = answers.outcomes();
-        let asked = self.asked.len();
-        if asked == 0 && self.inner.status() != Status::Running {
+        let requested = self.requested.len();
+        if requested == 0 && self.inner.status() != Status::Running {
             return Err(Error::TellWithoutAsk);
         }
-        if outcomes.len() > asked {
-            return Err(Error::TooManyOutcomes { asked, told: outcomes.len() });
+        if outcomes.len() > requested {
+            return Err(Error::TooManyOutcomes { requested, received: outcomes.len() });
         }
         self.settle_mu(outcomes);
         let mu = self.mu.unwrap_or(0.0);
-        let points = std::mem::take(&mut self.asked);
+        let points = std::mem::take(&mut self.requested);
         self.translated.clear();
         for (k, outcome) in outcomes.iter().enumerate() {
             let translated = match outcome.value() {
@@ -404,21 +405,21 @@ impl Method for BarrierState {
             };
             self.translated.push(translated, &[]);
         }
-        let told = self.inner.tell(&self.translated);
-        self.asked = points;
-        told?;
+        let received = self.inner.tell(&self.translated);
+        self.requested = points;
+        received?;
         for (k, outcome) in outcomes.iter().enumerate() {
-            self.n_stage += usize::from(outcome.is_known());
+            self.n_stage += usize::from(outcome.is_conclusive());
             let Some(v) = outcome.value() else { continue };
             // An evaluation above its cutoff might have been stopped. The best point must not depend on
             // cutoffs.
             if self.cutoffs.get(k).is_some_and(|c| v > *c) {
                 continue;
             }
-            self.best.offer(self.asked.point(k), v);
+            self.best.offer(self.requested.point(k), v);
         }
         // No points are pending until the next `ask`.
-        self.asked.start(self.setup.space.n(), 0, 0);
+        self.requested.start(self.setup.space.n(), 0, 0);
         match self.inner.status() {
             Status::Running | Status::NoStart => Ok(()),
             Status::Ended(Termination::AllFixed) => {

@@ -39,8 +39,8 @@ impl Method for BoxedMethod {
     fn tell_last(&mut self, answers: &mut Answers) -> Result<(), Error> {
         self.0.tell_last(answers)
     }
-    fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
-        self.0.speculate(wanted, known, batch);
+    fn speculate(&mut self, wanted: usize, answers_so_far: &dyn AnswersSoFar, batch: &mut Batch) {
+        self.0.speculate(wanted, answers_so_far, batch);
     }
     fn status(&self) -> Status {
         self.0.status()

@@ -162,12 +162,12 @@ impl FailureCheck {
 
     /// Returns the details of the preceding method, updated by the check.
     pub(crate) fn details<'a>(&self, before: MethodDetails<'a>) -> MethodDetails<'a> {
-        let own = self.search.details();
+        let of_search = self.search.details();
         let gains = self.n_searches > 0 || self.best().1 < self.start.1;
         MethodDetails {
-            n_iterations: before.n_iterations + self.n_iterations + own.n_iterations,
-            operation: own.operation.or(before.operation),
-            tests: if gains { own.tests.or(before.tests) } else { before.tests },
+            n_iterations: before.n_iterations + self.n_iterations + of_search.n_iterations,
+            operation: of_search.operation.or(before.operation),
+            tests: if gains { of_search.tests.or(before.tests) } else { before.tests },
             ..before
         }
     }

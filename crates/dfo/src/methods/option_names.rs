@@ -129,13 +129,13 @@ pub(super) fn described(option: &str) -> Option<&'static str> {
 }
 
 /// Returns the error for an unknown option, with the most similar known option as a hint.
-pub(super) fn unknown(method: &'static str, option: &str, known: &BTreeSet<String>) -> RecordError {
-    let all = known.iter().map(String::as_str).chain(COMMON);
+pub(super) fn unknown(method: &'static str, option: &str, available: &BTreeSet<String>) -> RecordError {
+    let all = available.iter().map(String::as_str).chain(COMMON);
     let hint = nearest(option, all).map_or(";".to_owned(), |name| format!("; did you mean '{name}'?"));
-    let known = known.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
+    let available = available.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
     let common = COMMON.join(", ");
     RecordError::message(format!(
-        "{method} has no option '{option}'{hint} its options are {known}; options of every method are \
+        "{method} has no option '{option}'{hint} its options are {available}; options of every method are \
          {common}"
     ))
 }

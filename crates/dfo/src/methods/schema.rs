@@ -32,15 +32,15 @@ fn collect(
     {
         collect(part, generator, names, options);
     }
-    for (name, own) in schema.get("properties").and_then(Json::as_object).into_iter().flatten() {
+    for (name, shape_of_option) in schema.get("properties").and_then(Json::as_object).into_iter().flatten() {
         if names.contains(name) {
-            let own = match shape(name) {
-                Some(also) => json!({ "anyOf": [own, also] }),
-                None => own.clone(),
+            let shape_of_option = match shape(name) {
+                Some(also) => json!({ "anyOf": [shape_of_option, also] }),
+                None => shape_of_option.clone(),
             };
-            options.insert(name.clone(), own);
+            options.insert(name.clone(), shape_of_option);
         } else {
-            collect(own, generator, names, options);
+            collect(shape_of_option, generator, names, options);
         }
     }
 }

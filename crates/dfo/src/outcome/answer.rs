@@ -59,7 +59,7 @@ impl Outcome {
 
     /// True if the outcome is information about the point. False for [`Skipped`](Self::Skipped),
     /// [`Abort`](Self::Abort), and lost and cancelled evaluations, on which no decision may depend.
-    pub fn is_known(&self) -> bool {
+    pub fn is_conclusive(&self) -> bool {
         match self {
             Self::Value(_) | Self::Above(_) => true,
             Self::Failed(failure) => failure.kind.is_of_point(),
@@ -71,7 +71,7 @@ impl Outcome {
     pub(crate) fn is_lasting(&self) -> bool {
         match self {
             Self::Failed(failure) => failure.kind.is_of_point() && failure.kind != FailureKind::TimedOut,
-            other => other.is_known(),
+            other => other.is_conclusive(),
         }
     }
 
@@ -132,7 +132,7 @@ impl FailureKind {
 
 /// Kind of values requested at a point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
-pub enum Want {
+pub enum EvaluationKind {
     /// The cost.
     #[default]
     Cost,
@@ -178,15 +178,15 @@ impl Answer {
         (self.work, self.seconds) = (0, 0.0);
     }
 
-    /// True if this answers a query for `want`.
-    pub(crate) fn answers(&self, want: Want) -> bool {
-        let without = want == Want::Residuals && self.residuals.is_empty();
+    /// True if this answers a query of this kind.
+    pub(crate) fn answers(&self, kind: EvaluationKind) -> bool {
+        let without = kind == EvaluationKind::Residuals && self.residuals.is_empty();
         !(without && matches!(self.outcome, Outcome::Value(_)))
     }
 
     /// Returns a copy without residuals that were not requested.
-    pub(crate) fn only(&self, want: Want) -> Self {
-        let residuals = if want == Want::Residuals { self.residuals.clone() } else { Vec::new() };
+    pub(crate) fn only(&self, kind: EvaluationKind) -> Self {
+        let residuals = if kind == EvaluationKind::Residuals { self.residuals.clone() } else { Vec::new() };
         Self { outcome: self.outcome.clone(), residuals, ..*self }
     }
 
@@ -245,32 +245,32 @@ impl Answers {
 
     /// Returns the residuals of point `k`; `None` if there are none or they were not requested.
     pub fn residuals(&self, k: usize) -> Option<&[f64]> {
-        let known = self.m > 0 && self.outcomes[k].value().is_some();
-        known.then(|| &self.residuals[k][..])
+        let has_residuals = self.m > 0 && self.outcomes[k].value().is_some();
+        has_residuals.then(|| &self.residuals[k][..])
     }
 
     /// Like [`residuals`](Self::residuals), but moves the residuals out.
     pub fn take_residuals(&mut self, k: usize) -> Option<Vec<f64>> {
-        let known = self.m > 0 && self.outcomes[k].value().is_some();
-        known.then(|| std::mem::take(&mut self.residuals[k]))
+        let has_residuals = self.m > 0 && self.outcomes[k].value().is_some();
+        has_residuals.then(|| std::mem::take(&mut self.residuals[k]))
     }
 
     /// Adds a point. All residual vectors get the length of the first one: longer vectors are truncated, and
     /// shorter ones are padded with zeros.
     pub fn push(&mut self, outcome: Outcome, residuals: &[f64]) {
-        let mut own = self.spare.pop().unwrap_or_default();
-        own.clear();
-        own.extend_from_slice(residuals);
-        self.push_own(outcome, own);
+        let mut copy = self.spare.pop().unwrap_or_default();
+        copy.clear();
+        copy.extend_from_slice(residuals);
+        self.push_vector(outcome, copy);
     }
 
     /// Like [`push`](Self::push), without a copy: `residuals` is replaced with spare memory.
     pub(crate) fn push_taken(&mut self, outcome: Outcome, residuals: &mut Vec<f64>) {
-        let own = std::mem::replace(residuals, self.spare.pop().unwrap_or_default());
-        self.push_own(outcome, own);
+        let taken = std::mem::replace(residuals, self.spare.pop().unwrap_or_default());
+        self.push_vector(outcome, taken);
     }
 
-    fn push_own(&mut self, outcome: Outcome, mut residuals: Vec<f64>) {
+    fn push_vector(&mut self, outcome: Outcome, mut residuals: Vec<f64>) {
         if self.m == 0 && !residuals.is_empty() {
             self.m = residuals.len();
             self.residuals.iter_mut().for_each(|before| before.resize(self.m, 0.0));

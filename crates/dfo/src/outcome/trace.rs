@@ -101,9 +101,9 @@ mod columns {
         let mut rest = &residuals[..];
         let record = |k: usize| {
             let outcome = if value[k].is_nan() { others.next()? } else { Outcome::Value(value[k]) };
-            let (own, later) = rest.split_at_checked(n_residuals[k].try_into().ok()?)?;
+            let (residuals_of_row, later) = rest.split_at_checked(n_residuals[k].try_into().ok()?)?;
             rest = later;
-            let (residuals, used) = (own.to_vec(), used[k] != 0);
+            let (residuals, used) = (residuals_of_row.to_vec(), used[k] != 0);
             let (id, batch, cutoff, seconds) = (id[k], batch[k], cutoff[k], seconds[k]);
             Some(Record { outcome, id, batch, cutoff, used, seconds, residuals })
         };

@@ -1,7 +1,7 @@
 //! Objectives, which map a point to an answer.
 
 use crate::error::Error;
-use crate::outcome::answer::{Answer, Outcome, Want};
+use crate::outcome::answer::{Answer, EvaluationKind, Outcome};
 use crate::problem::loss::{Loss, RobustLoss};
 use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -26,7 +26,7 @@ impl<'a> CancelSignals<'a> {
     }
 
     /// Adds a flag with which the run may end one evaluation.
-    pub(crate) fn with_own_flag<'b>(self, over: &'b AtomicBool) -> CancelSignals<'b>
+    pub(crate) fn with_evaluation_flag<'b>(self, over: &'b AtomicBool) -> CancelSignals<'b>
     where
         'a: 'b,
     {
@@ -48,7 +48,7 @@ impl<'a> CancelSignals<'a> {
 #[derive(Debug, Clone, Copy)]
 pub struct Query<'a> {
     /// Kind of values requested at the point.
-    pub want: Want,
+    pub kind: EvaluationKind,
     /// Cutoff of the cost; `f64::INFINITY` means no cutoff. If the partial cost is strictly greater, the
     /// objective may stop and return [`Outcome::Above`] with this value.
     pub cutoff: f64,
@@ -63,13 +63,13 @@ pub struct Query<'a> {
 impl Query<'static> {
     /// Creates a query for the cost without time limit or cancel flag, for calling an objective by hand.
     pub fn new(id: u64, batch: u64, cutoff: f64) -> Self {
-        Self { want: Want::Cost, cutoff, id, batch, signals: CancelSignals::new(&NEVER, None) }
+        Self { kind: EvaluationKind::Cost, cutoff, id, batch, signals: CancelSignals::new(&NEVER, None) }
     }
 
     /// Sets the kind of values requested.
     #[must_use]
-    pub fn want(self, want: Want) -> Self {
-        Self { want, ..self }
+    pub fn kind(self, kind: EvaluationKind) -> Self {
+        Self { kind, ..self }
     }
 }
 
@@ -81,7 +81,7 @@ impl Query<'_> {
 
     /// Adds the signals of a run to the query.
     pub(crate) fn ended_by(self, signals: CancelSignals<'_>) -> Query<'_> {
-        Query { want: self.want, cutoff: self.cutoff, id: self.id, batch: self.batch, signals }
+        Query { kind: self.kind, cutoff: self.cutoff, id: self.id, batch: self.batch, signals }
     }
 
     /// True if the run is ending because of an interrupt or time limit. A long evaluation should check this

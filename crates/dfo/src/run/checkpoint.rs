@@ -131,8 +131,9 @@ pub(crate) struct Snapshot<'a> {
     pub(crate) ledger: Cow<'a, Ledger>,
     pub(crate) store: Cow<'a, Store>,
     pub(crate) stale: usize,
-    /// Known evaluations of the batch that the method waits for.
-    pub(crate) known: Cow<'a, [EarlyOutcome]>,
+    /// Finished evaluations of the batch that the method waits for.
+    #[serde(rename = "known")]
+    pub(crate) finished: Cow<'a, [EarlyOutcome]>,
     pub(crate) observed: Option<usize>,
     pub(crate) first_recent: usize,
     pub(crate) seconds: f64,
@@ -303,7 +304,7 @@ pub(crate) fn read(
     }
     if !(snapshot.ledger.is_sound(n)
         && snapshot.store.is_sound(n)
-        && snapshot.known.iter().all(|early| early.entry.x.len() == n && early.is_of_path)
+        && snapshot.finished.iter().all(|early| early.entry.x.len() == n && early.is_of_path)
         && snapshot.seconds >= 0.0
         && snapshot.seconds.is_finite())
     {
@@ -359,14 +360,14 @@ impl Writer {
         Instant::now() >= self.next
     }
 
-    /// Replaces the file with the current state. `known` are the outcomes so far of the batch that the method
-    /// waits for. `observed` is the last iteration that the observer saw, and `first_recent` is the length of
-    /// the trace at that time.
+    /// Replaces the file with the current state. `finished` are the outcomes so far of the batch that the
+    /// method waits for. `observed` is the last iteration that the observer saw, and `first_recent` is the
+    /// length of the trace at that time.
     pub(crate) fn write(
         &mut self,
         method: &dyn Method,
         round: &CountedBatch,
-        known: &[EarlyOutcome],
+        finished: &[EarlyOutcome],
         observed: Option<usize>,
         first_recent: usize,
         seconds: f64,
@@ -381,7 +382,7 @@ impl Writer {
             ledger: Cow::Borrowed(&round.ledger),
             store: Cow::Borrowed(&round.store),
             stale: round.stale,
-            known: Cow::Borrowed(known),
+            finished: Cow::Borrowed(finished),
             observed,
             first_recent,
             seconds,

@@ -11,7 +11,7 @@ use crate::evaluation::{
 use crate::method_interface::interface::{Batch, Method, MethodDetails, Status};
 use crate::method_interface::tolerances::Limits;
 use crate::methods::BoxedMethod;
-use crate::outcome::answer::{Answer, Failure, Outcome, Want};
+use crate::outcome::answer::{Answer, EvaluationKind, Failure, Outcome};
 use crate::outcome::termination::{Termination, UNBOUNDED};
 use crate::run::checkpoint::Writer;
 use crate::run::progress::Progress;
@@ -150,7 +150,7 @@ impl Drive {
         let termination = self.ended().unwrap_or(Some(Termination::Interrupted));
         let control = around.control;
         let is_interrupted = || control.check() == Some(StopCause::Interrupted);
-        self.report(termination, &RunContext::new().asking(&is_interrupted))
+        self.report(termination, &RunContext::new().polling(&is_interrupted))
     }
 
     /// Records the answers to cancelled evaluations that still finish. Waits for these evaluations unless
@@ -238,7 +238,7 @@ impl Drive {
             cause.set(cause.get().or_else(|| around.control.check()));
             cause.get().is_some()
         };
-        self.method.ask_unless(&RunContext::new().asking(&is_over), &mut self.batch);
+        self.method.ask_unless(&RunContext::new().polling(&is_over), &mut self.batch);
         let is_running = self.method.status() == Status::Running;
         let limit = match cause.get() {
             Some(StopCause::Interrupted) if self.batch.is_empty() && is_running => {
@@ -456,15 +456,16 @@ impl Drive {
         let stopped = self.verdict(around.control);
         if stopped.is_some() && self.writer.is_some() {
             // Saves the state before this batch, and the known outcomes of the batch.
-            let known = self.round.known(&self.batch, &self.answers);
-            self.save(&known);
+            let finished = self.round.finished_evaluations(&self.batch, &self.answers);
+            self.save(&finished);
         }
         if let Err(error) = self.round.close(&self.batch, &mut self.answers) {
             self.stage = Stage::Over(Some(Termination::Aborted(error.to_string())));
             return Err(error);
         }
         // After an interrupt, residuals are no longer used, and processing many of them is slow.
-        let is_left = stopped == Some(Termination::Interrupted) && self.batch.want() == Want::Residuals;
+        let is_left =
+            stopped == Some(Termination::Interrupted) && self.batch.kind() == EvaluationKind::Residuals;
         if !is_left {
             self.method.tell_last(self.round.reported(&self.batch))?;
         }
@@ -484,7 +485,7 @@ impl Drive {
             None => {}
         }
         let n_needed = last.map_or(self.answers.len(), |(place, _)| self.round.n_before(place));
-        if self.answers[..n_needed].iter().any(|answer| !answer.outcome.is_known()) {
+        if self.answers[..n_needed].iter().any(|answer| !answer.outcome.is_conclusive()) {
             // An evaluation stopped early for a reason unknown to the run: the deadline passed during the
             // evaluation, or the objective was cancelled elsewhere.
             let is_late = control.signals().is_late();
@@ -565,20 +566,20 @@ impl Drive {
 
     /// Writes the state, including the known outcomes of the current batch.
     pub(crate) fn save_now(&mut self) {
-        let known = match self.stage {
-            Stage::Evaluate => self.round.known(&self.batch, &self.answers),
+        let finished = match self.stage {
+            Stage::Evaluate => self.round.finished_evaluations(&self.batch, &self.answers),
             Stage::Ask | Stage::Over(_) => Vec::new(),
         };
-        self.save(&known);
+        self.save(&finished);
     }
 
     /// Writes the state. A failure, for example on a full disk, is logged once, and the write is tried again
     /// later. If the last write fails, the result reports the failure.
-    fn save(&mut self, known: &[EarlyOutcome]) {
+    fn save(&mut self, finished: &[EarlyOutcome]) {
         let seconds = self.elapsed();
         let Some(writer) = &mut self.writer else { return };
         let written =
-            writer.write(&self.method, &self.round, known, self.observed, self.first_recent, seconds);
+            writer.write(&self.method, &self.round, finished, self.observed, self.first_recent, seconds);
         if let (Err(error), None) = (&written, &self.unsaved) {
             log::warn!("the checkpoint was not written; the run continues and will try again: {error}");
         }

@@ -16,7 +16,7 @@ use crate::problem::space::Bounds;
 use crate::run::checkpoint::Checkpoint;
 use crate::run::drive::{Around, Drive, Observer};
 use crate::run::optimizer::Optimizer;
-use crate::run::options::{KnownPoint, RunOptions};
+use crate::run::options::{EvaluatedPoint, RunOptions};
 use crate::run::progress::Progress;
 use crate::run::report::Report;
 use crate::run::requested::RequestedRun;
@@ -263,7 +263,7 @@ impl<'a, M, D> Minimize<'a, M, D> {
     /// Sets all options requested by name.
     pub fn requested(self, requested: RequestedRun) -> Minimize<'a, AnyMethod, D> {
         let RequestedRun { options, scale, nominal, kinds } = requested;
-        self.options(options).transforms(&scale).known_scales(&nominal).kinds(&kinds)
+        self.options(options).transforms(&scale).optional_scales(&nominal).kinds(&kinds)
     }
 
     /// Sets the number of evaluations that may run at once. The result does not depend on it. With 1 (the
@@ -361,11 +361,11 @@ impl<'a, M, D> Minimize<'a, M, D> {
     /// [`InitialSimplex::Auto`](crate::InitialSimplex::Auto)).
     pub fn scales(self, sizes: &[f64]) -> Self {
         let sizes: Vec<_> = sizes.iter().copied().map(Some).collect();
-        self.known_scales(&sizes)
+        self.optional_scales(&sizes)
     }
 
     /// Sets the typical sizes of some parameters. `None` selects the default, see [`scales`](Self::scales).
-    pub fn known_scales(mut self, sizes: &[Option<f64>]) -> Self {
+    pub fn optional_scales(mut self, sizes: &[Option<f64>]) -> Self {
         self.description.sizes = sizes.to_vec();
         self
     }
@@ -394,17 +394,17 @@ impl<'a, M, D> Minimize<'a, M, D> {
     /// Otherwise, their costs only determine where to start.
     pub fn warm_start(self, trace: &Trace) -> Self {
         let problem = trace.problem().map(str::to_owned);
-        let known = |e: TraceEntry<'_>| {
+        let point_of = |e: TraceEntry<'_>| {
             let (cost, residuals) = (e.outcome.value()?, e.residuals.to_vec());
-            Some(KnownPoint { x: e.x.to_vec(), cost, residuals, problem: problem.clone() })
+            Some(EvaluatedPoint { x: e.x.to_vec(), cost, residuals, problem: problem.clone() })
         };
-        self.known(trace.iter().filter_map(known))
+        self.evaluated_points(trace.iter().filter_map(point_of))
     }
 
     /// Starts from points of any origin, like [`warm_start`](Self::warm_start). Points whose costs are not
     /// finite are left out.
-    pub fn known(mut self, points: impl IntoIterator<Item = KnownPoint>) -> Self {
-        self.description.options.known.extend(points);
+    pub fn evaluated_points(mut self, points: impl IntoIterator<Item = EvaluatedPoint>) -> Self {
+        self.description.options.evaluated.extend(points);
         self
     }
 

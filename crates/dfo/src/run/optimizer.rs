@@ -4,7 +4,7 @@ use crate::error::Error;
 use crate::evaluation::store::FIRST_ID;
 use crate::evaluation::{ByHand, ContextPoller};
 use crate::method_interface::interface::Method;
-use crate::outcome::answer::{Answer, Outcome, Want};
+use crate::outcome::answer::{Answer, EvaluationKind, Outcome};
 use crate::outcome::termination::Termination;
 use crate::outcome::trace::Trace;
 use crate::problem::objective::Query;
@@ -27,13 +27,13 @@ pub struct Point {
     /// Cost above which the outcome may be [`Outcome::Above`]; infinite if there is no cutoff.
     pub cutoff: f64,
     /// Kind of the requested values.
-    pub want: Want,
+    pub kind: EvaluationKind,
 }
 
 impl Point {
     /// Returns the query to pass to an [`Objective`](crate::Objective) together with the point.
     pub fn query(&self) -> Query<'static> {
-        Query::new(self.id, self.batch, self.cutoff).want(self.want)
+        Query::new(self.id, self.batch, self.cutoff).kind(self.kind)
     }
 }
 
@@ -106,8 +106,8 @@ impl Optimizer {
             && points.len() < at_most
             && let Some(handed) = self.hand.hand_out()
         {
-            let Query { id, batch, cutoff, want, .. } = handed.query;
-            points.push(Point { id, batch, x: handed.x.clone(), cutoff, want });
+            let Query { id, batch, cutoff, kind, .. } = handed.query;
+            points.push(Point { id, batch, x: handed.x.clone(), cutoff, kind });
         }
         points
     }
@@ -144,7 +144,7 @@ impl Optimizer {
             other => other.checked(handed.query.cutoff),
         };
         // An abort of a speculative point does not end the run until the path needs the point.
-        let is_final = answer.outcome.is_known() || matches!(answer.outcome, Outcome::Abort(_));
+        let is_final = answer.outcome.is_conclusive() || matches!(answer.outcome, Outcome::Abort(_));
         let ends = matches!(answer.outcome, Outcome::Abort(_)) && id < FIRST_ID;
         self.hand.answered(handed, answer, is_final);
         self.advance(context, |drive, around| match drive.advance(around)? {

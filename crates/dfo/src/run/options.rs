@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 /// A point with its cost and the identity of its problem.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct KnownPoint {
+pub struct EvaluatedPoint {
     /// The point, in the user's units.
     pub x: Vec<f64>,
     /// Its cost.
@@ -56,15 +56,16 @@ pub struct RunOptions<M = NelderMead> {
     /// from other runs are used only if they belong to the same problem. A checkpoint of another problem is
     /// rejected.
     pub problem: Option<String>,
-    /// Known points from earlier runs.
-    pub known: Vec<KnownPoint>,
+    /// Evaluated points from earlier runs.
+    #[serde(rename = "known")]
+    pub evaluated: Vec<EvaluatedPoint>,
 }
 
 impl<M> RunOptions<M> {
     /// Returns these options with another method.
     pub fn with_method<N>(self, method: N) -> RunOptions<N> {
         let Self { tolerances, limits, unlimited, workers, seed, cache, .. } = self;
-        let Self { trace_limit, trace_residuals, checkpoint, problem, known, .. } = self;
+        let Self { trace_limit, trace_residuals, checkpoint, problem, evaluated, .. } = self;
         RunOptions {
             method,
             method_reason: None,
@@ -78,7 +79,7 @@ impl<M> RunOptions<M> {
             trace_residuals,
             checkpoint,
             problem,
-            known,
+            evaluated,
         }
     }
 

@@ -268,7 +268,7 @@ pub(crate) fn conclude(
     let fits =
         |model: &LinearModel| residuals.as_ref().is_some_and(|r| model.jacobian.len() == r.len() * x.len());
     let is_over = || termination == Termination::Interrupted || context.is_over();
-    let model = method.linear_model(&RunContext::new().asking(&is_over)).filter(fits);
+    let model = method.linear_model(&RunContext::new().polling(&is_over)).filter(fits);
     let (jacobian, active) = model.map_or((None, Vec::new()), |model| (Some(model.jacobian), model.active));
     Ok(Report {
         message: message(method, ledger, limits, &termination, fun, seconds),
@@ -321,8 +321,8 @@ fn message(
     let ended = match termination {
         Termination::Converged => format!("converged; {tests}"),
         Termination::Noise => {
-            let is_known = details.tests.is_some_and(|tests| tests.x_passed);
-            let ended = if is_known { "ended" } else { "not converged: ended" };
+            let has_passed = details.tests.is_some_and(|tests| tests.x_passed);
+            let ended = if has_passed { "ended" } else { "not converged: ended" };
             let why = "in the noise of the residuals: the possible decrease is smaller than the effect of \
                        the noise";
             with_tests(format!("{ended} {why}"))

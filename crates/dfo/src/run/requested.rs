@@ -4,7 +4,7 @@
 use crate::error::Error;
 use crate::methods::AnyMethod;
 use crate::run::checkpoint::{Checkpoint, Resume};
-use crate::run::options::{KnownPoint, RunOptions};
+use crate::run::options::{EvaluatedPoint, RunOptions};
 use crate::values::choices::{ParameterKind, Search, StopRule, ToleranceMeasure, Transform};
 use crate::values::fields::{field_names, read_part};
 use crate::values::record::{Record, RecordError, Value};
@@ -69,7 +69,7 @@ pub(super) struct RunRecord {
     /// Identity of the problem, see [`RunOptions::problem`].
     problem: Option<String>,
     /// Known points from earlier runs.
-    warm_start: Option<Vec<KnownPoint>>,
+    warm_start: Option<Vec<EvaluatedPoint>>,
     /// File to which the state of the run is written.
     checkpoint: Option<PathBuf>,
     /// Minimum time between two writes of the checkpoint, in seconds.
@@ -159,7 +159,7 @@ impl RequestedRun {
     /// # Errors
     /// Returns an error if the options of the method cannot be serialised.
     pub fn record(options: &RunOptions<AnyMethod>) -> Result<Record, Error> {
-        let RunOptions { method, tolerances, limits, checkpoint, known, .. } = options;
+        let RunOptions { method, tolerances, limits, checkpoint, evaluated, .. } = options;
         let count = |limit: Option<usize>| limit.map_or(Value::Nothing, |n| Value::Count(n as u64));
         let seconds =
             |time: Option<Duration>| time.map_or(Value::Nothing, |time| Value::Number(time.as_secs_f64()));
@@ -181,7 +181,7 @@ impl RequestedRun {
             seed: options.seed,
             cache: count(options.cache),
             trace_limit: count(options.trace_limit),
-            warm_start: (!known.is_empty()).then(|| known.clone()),
+            warm_start: (!evaluated.is_empty()).then(|| evaluated.clone()),
             checkpoint: checkpoint.map(|checkpoint| checkpoint.path.clone()),
             checkpoint_interval: seconds(checkpoint.map(|checkpoint| checkpoint.interval)),
             resume: checkpoint.map(|checkpoint| checkpoint.resume),
@@ -225,7 +225,7 @@ impl RequestedRun {
         set(&mut tolerances.stop, requested.stop);
         set(&mut tolerances.measure, requested.tolerances);
         set(&mut run.unlimited, requested.unlimited);
-        set(&mut run.known, requested.warm_start);
+        set(&mut run.evaluated, requested.warm_start);
         limit(&mut limits.max_evaluations, "max_evaluations", &requested.max_evaluations, 1)?;
         limit(&mut limits.max_evaluations, "max_fevals", &requested.max_fevals, 1)?;
         limit(&mut limits.max_iterations, "max_iterations", &requested.max_iterations, 0)?;

@@ -16,15 +16,16 @@ impl JsonSchema for RequestedRun {
         let mut options = Map::new();
         let (mut words, mut rules) = (vec![json!("auto")], Vec::new());
         for (names, method) in AnyMethod::listed() {
-            let own = method.option_schemas(generator);
+            let of_method = method.option_schemas(generator);
             let of_run = schema.get("properties").and_then(Json::as_object);
-            let known: Vec<&String> = of_run.into_iter().flat_map(Map::keys).chain(own.keys()).collect();
+            let allowed: Vec<&String> =
+                of_run.into_iter().flat_map(Map::keys).chain(of_method.keys()).collect();
             rules.push(json!({
                 "if": { "properties": { "method": { "enum": names } }, "required": ["method"] },
-                "then": { "propertyNames": { "enum": known } },
+                "then": { "propertyNames": { "enum": allowed } },
             }));
             words.extend(names.into_iter().map(Json::from));
-            for (name, shape) in own {
+            for (name, shape) in of_method {
                 // Several methods may have options with the same name.
                 let shapes = options.entry(name).or_insert_with(|| json!([]));
                 if let Some(shapes) = shapes.as_array_mut().filter(|shapes| !shapes.contains(&shape)) {

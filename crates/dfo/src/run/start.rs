@@ -13,7 +13,7 @@ use crate::problem::option_texts;
 use crate::problem::space::Bounds;
 use crate::problem::space::Space;
 use crate::run::checkpoint::{self, Writer};
-use crate::run::options::{KnownPoint, RunOptions};
+use crate::run::options::{EvaluatedPoint, RunOptions};
 use crate::run::report::Resumed;
 use crate::values::choices::{ParameterKind, Search, Transform};
 
@@ -102,9 +102,9 @@ impl<M: MethodOptions> Description<M> {
             let (evaluations, iterations) = method.default_limits(space.n_free());
             limits.fill(evaluations, iterations);
         }
-        let prior = usable(&options.known, &space);
+        let prior = usable(&options.evaluated, &space);
         let is_inside = |x: &[f64]| !method.starts_inside() || space.is_inside(x);
-        let best = prior.iter().find(|known| is_inside(&known.x)).map(|known| known.x.clone());
+        let best = prior.iter().find(|point| is_inside(&point.x)).map(|point| point.x.clone());
         let start_given = start_given || best.is_some();
         if let Some(best) = best {
             space = space.starting_at(&best);
@@ -118,15 +118,15 @@ impl<M: MethodOptions> Description<M> {
             seed: options.seed,
             max_evaluations: limits.max_evaluations,
             start_given,
-            prior: prior.iter().map(|known| known.x.clone()).collect(),
+            prior: prior.iter().map(|point| point.x.clone()).collect(),
             loss,
             workers: options.workers.unwrap_or(1),
             ..Setup::new(space)
         };
         let mut store = Store::new(capacity);
         // A cost without a problem identity does not belong to any problem.
-        let belongs = |known: &&KnownPoint| options.problem.is_some() && known.problem == options.problem;
-        for KnownPoint { x, cost, residuals, .. } in prior.iter().copied().filter(belongs) {
+        let belongs = |point: &&EvaluatedPoint| options.problem.is_some() && point.problem == options.problem;
+        for EvaluatedPoint { x, cost, residuals, .. } in prior.iter().copied().filter(belongs) {
             store.pin(x, Answer { residuals: residuals.clone(), ..Outcome::Value(*cost).into() });
         }
         let mut started = StartedRun {
@@ -159,13 +159,13 @@ impl<M: MethodOptions> Description<M> {
             started.round = CountedBatch::new(stored.ledger.into_owned(), stored.store.into_owned());
             started.round.store.forget_aborts();
             started.round.stale = stored.stale;
-            let n_known = stored.known.len();
-            for known in stored.known.into_owned() {
-                started.round.store.keep(known);
+            let n_finished = stored.finished.len();
+            for finished_evaluation in stored.finished.into_owned() {
+                started.round.store.keep(finished_evaluation);
             }
             (started.observed, started.first_recent) = (stored.observed, stored.first_recent);
             started.before = stored.seconds;
-            let n_evaluations = started.round.ledger.n_evaluations + n_known;
+            let n_evaluations = started.round.ledger.n_evaluations + n_finished;
             started.resumed = Some(Resumed { path: place.path.clone(), n_evaluations });
         }
         started.writer = Some(Writer::new(place, fingerprint, by_hand)?);
@@ -174,16 +174,16 @@ impl<M: MethodOptions> Description<M> {
 }
 
 /// Returns the points of earlier runs that are in this space, without duplicates, lowest cost first.
-fn usable<'a>(known: &'a [KnownPoint], space: &Space) -> Vec<&'a KnownPoint> {
+fn usable<'a>(evaluated: &'a [EvaluatedPoint], space: &Space) -> Vec<&'a EvaluatedPoint> {
     let discrete: Vec<usize> = (0..space.n_free())
         .filter(|&k| space.kind(k) != ParameterKind::Continuous)
         .map(|k| space.free()[k])
         .collect();
-    let is_inside = |known: &&KnownPoint| {
-        space.bounds().contains(&known.x) && discrete.iter().all(|&i| known.x[i] == known.x[i].round())
+    let is_inside = |point: &&EvaluatedPoint| {
+        space.bounds().contains(&point.x) && discrete.iter().all(|&i| point.x[i] == point.x[i].round())
     };
-    let mut prior: Vec<&KnownPoint> =
-        known.iter().filter(|known| known.cost.is_finite()).filter(is_inside).collect();
+    let mut prior: Vec<&EvaluatedPoint> =
+        evaluated.iter().filter(|point| point.cost.is_finite()).filter(is_inside).collect();
     prior.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     prior.dedup_by(|a, b| a.x == b.x && a.problem == b.problem);
     prior

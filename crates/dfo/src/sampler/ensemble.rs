@@ -141,7 +141,7 @@ impl EnsembleSampler {
     pub fn tell(&mut self, log_densities: &[f64]) -> Result<(), Error> {
         let requested = self.proposals.len();
         if log_densities.len() != requested {
-            return Err(Error::TooManyOutcomes { asked: requested, told: log_densities.len() });
+            return Err(Error::TooManyOutcomes { requested: requested, received: log_densities.len() });
         }
         for ((walker, point), log_density) in
             std::mem::take(&mut self.proposals).into_iter().zip(log_densities)
@@ -220,9 +220,9 @@ mod tests {
         let walkers: Vec<Vec<f64>> = (0..n_walkers)
             .map(|_| (0..n).map(|_| stream.between(bounds.0.max(-3.0), bounds.1.min(3.0))).collect())
             .collect();
-        let known: Vec<f64> = walkers.iter().map(|x| density(x)).collect();
+        let densities: Vec<f64> = walkers.iter().map(|x| density(x)).collect();
         let bounds = (vec![bounds.0; n], vec![bounds.1; n]);
-        let mut sampler = EnsembleSampler::new(&walkers, &known, bounds, Some(11)).unwrap();
+        let mut sampler = EnsembleSampler::new(&walkers, &densities, bounds, Some(11)).unwrap();
         let mut all = Vec::new();
         while sampler.n_steps() < n_steps {
             let answers: Vec<f64> = sampler.ask().iter().map(|x| density(x)).collect();
@@ -303,9 +303,9 @@ mod tests {
     fn restored_state_continues_with_the_same_bits() {
         let density = |x: &[f64]| -0.5 * x[0] * x[0];
         let walkers: Vec<Vec<f64>> = (0..6).map(|k| vec![f64::from(k)]).collect();
-        let known: Vec<f64> = walkers.iter().map(|x| density(x)).collect();
+        let densities: Vec<f64> = walkers.iter().map(|x| density(x)).collect();
         let bounds = (vec![-10.0], vec![10.0]);
-        let mut sampler = EnsembleSampler::new(&walkers, &known, bounds, Some(3)).unwrap();
+        let mut sampler = EnsembleSampler::new(&walkers, &densities, bounds, Some(3)).unwrap();
         let advance = |sampler: &mut EnsembleSampler| {
             let answers: Vec<f64> = sampler.ask().iter().map(|x| density(x)).collect();
             sampler.tell(&answers).unwrap();
@@ -320,8 +320,9 @@ mod tests {
     #[test]
     fn bad_walkers_and_answers_are_rejected() {
         let bounds = || (vec![0.0], vec![1.0]);
-        let new =
-            |walkers: &[Vec<f64>], known: &[f64]| EnsembleSampler::new(walkers, known, bounds(), Some(1));
+        let new = |walkers: &[Vec<f64>], densities: &[f64]| {
+            EnsembleSampler::new(walkers, densities, bounds(), Some(1))
+        };
         let message = new(&[vec![0.5]], &[0.0]).unwrap_err().to_string();
         assert!(message.contains("walkers"), "{message}");
         let four = vec![vec![0.5]; 4];

@@ -31,13 +31,13 @@ pub fn read_record<T: DeserializeOwned>(record: &Record, what: &str) -> Result<T
 ///
 /// # Errors
 /// Returns the errors of [`read_record`].
-pub fn read_known<T>(record: &Record, what: &str) -> Result<T, RecordError>
+pub fn read_strict<T>(record: &Record, what: &str) -> Result<T, RecordError>
 where
     T: Default + Serialize + DeserializeOwned,
 {
-    let known: Vec<String> = field_names::<T>()?.into_iter().collect();
-    match record.keys().find(|name| !known.contains(name)) {
-        Some(name) => Err(RecordError::unknown(what, name, &known)),
+    let expected: Vec<String> = field_names::<T>()?.into_iter().collect();
+    match record.keys().find(|name| !expected.contains(name)) {
+        Some(name) => Err(RecordError::unknown(what, name, &expected)),
         None => read_record(record, what),
     }
 }
@@ -51,6 +51,6 @@ where
     T: Default + Serialize + DeserializeOwned,
 {
     let names = field_names::<T>()?;
-    let (own, others) = record.into_iter().partition(|(name, _)| names.contains(name));
-    Ok((read_record(&own, what)?, others))
+    let (of_type, others) = record.into_iter().partition(|(name, _)| names.contains(name));
+    Ok((read_record(&of_type, what)?, others))
 }

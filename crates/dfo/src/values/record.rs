@@ -206,13 +206,13 @@ impl RecordError {
 
     /// Creates an error about an unknown name, with the most similar known name. `what` describes the kind of
     /// the name.
-    pub fn unknown<N: AsRef<str>>(what: &str, name: &str, known: &[N]) -> Self {
-        let known: Vec<&str> = known.iter().map(AsRef::as_ref).collect();
-        let meant = nearest(name, known.iter().copied());
+    pub fn unknown<N: AsRef<str>>(what: &str, name: &str, expected: &[N]) -> Self {
+        let expected: Vec<&str> = expected.iter().map(AsRef::as_ref).collect();
+        let meant = nearest(name, expected.iter().copied());
         let hint = meant.map_or(";".to_owned(), |meant| format!("; did you mean '{meant}'?"));
-        let listed = match meant.is_some() && known.len() > MOST_LISTED {
+        let listed = match meant.is_some() && expected.len() > MOST_LISTED {
             true => String::new(),
-            false => format!(" expected one of: {}", known.join(", ")),
+            false => format!(" expected one of: {}", expected.join(", ")),
         };
         Self::message(format!("unknown {what} '{name}'{hint}{listed}"))
     }
@@ -283,10 +283,10 @@ impl RecordError {
                 None => format!("{name} must be {what}, not {given}"),
             },
             Problem::Range(range) => format!("{name} = {given} must be {range}"),
-            Problem::Word(known) => {
-                let listed: Vec<String> = known.iter().map(|word| format!("'{word}'")).collect();
+            Problem::Word(words) => {
+                let listed: Vec<String> = words.iter().map(|word| format!("'{word}'")).collect();
                 let text = if let Value::Text(text) = &self.given { text } else { "" };
-                let meant = known.iter().find(|word| !text.is_empty() && word.starts_with(text));
+                let meant = words.iter().find(|word| !text.is_empty() && word.starts_with(text));
                 let hint = meant.map_or_else(String::new, |word| format!("; did you mean '{word}'?"));
                 format!("{name} = {given} is invalid; expected one of: {}{hint}", listed.join(", "))
             }

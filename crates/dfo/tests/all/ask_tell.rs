@@ -137,7 +137,7 @@ fn misuse_returns_typed_error() {
     s.ask(&mut batch);
     assert_eq!(
         s.tell(&Answers::from(&vec![Outcome::Value(1.0); 4][..])),
-        Err(Error::TooManyOutcomes { asked: 3, told: 4 })
+        Err(Error::TooManyOutcomes { requested: 3, received: 4 })
     );
     s.tell(&Answers::from(&[Outcome::Value(f64::NAN), Outcome::failed("x"), Outcome::Above(0.0)][..]))
         .unwrap();

@@ -228,8 +228,8 @@ fn rejects_file_of_other_run_and_leaves_it_unchanged() {
             assert_eq!(std::fs::read(&path).unwrap(), broken);
         }
     }
-    let anew = run(2, 2.0, 1e-6, "ga", tagged().resume(Resume::Never)).unwrap();
-    assert_eq!(anew.seed, Some(2));
+    let restarted = run(2, 2.0, 1e-6, "ga", tagged().resume(Resume::Never)).unwrap();
+    assert_eq!(restarted.seed, Some(2));
     let nowhere = run(1, 2.0, 1e-6, "ga", at(&folder.0.join("no/such/folder")));
     assert!(matches!(nowhere, Err(Error::CheckpointFile { .. })));
 }
@@ -352,8 +352,11 @@ fn run_returns_result_when_checkpoint_becomes_unwritable() {
         // The run continues and reports at its end that no checkpoint is stored.
         assert!(report.n_evaluations > 151, "{report}");
         let Termination::NotSaved { reason, ended } = &report.termination else { panic!("{report}") };
-        let is_own = matches!(ended.cause(), Cause::Limit | Cause::Search);
-        assert!(reason.contains("run") && is_own && report.termination.cause() == ended.cause(), "{report}");
+        let is_from_run = matches!(ended.cause(), Cause::Limit | Cause::Search);
+        assert!(
+            reason.contains("run") && is_from_run && report.termination.cause() == ended.cause(),
+            "{report}"
+        );
         assert_eq!(report.termination.ended(), &**ended);
         let message = &report.message;
         assert!(message.contains("; the last state could not be saved: checkpoint"), "{message}");

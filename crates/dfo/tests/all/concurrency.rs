@@ -107,7 +107,7 @@ fn callbacks_run_regularly_on_the_calling_thread() {
         assert_eq!(thread::current().id(), caller);
         ControlFlow::Continue(())
     })
-    .context(RunContext::new().asking(&ask))
+    .context(RunContext::new().polling(&ask))
     .run()
     .unwrap();
     assert_eq!(report.n_failed, 0);
@@ -138,7 +138,7 @@ fn interrupted(workers: usize, ready_after: u64) -> (Result<Report, Error>, Dura
     let result = minimize(cost)
         .start(&[-1.2, 1.0])
         .workers(workers)
-        .context(RunContext::new().asking(&|| hanging.load(Ordering::Acquire)))
+        .context(RunContext::new().polling(&|| hanging.load(Ordering::Acquire)))
         .run();
     (result, begin.elapsed(), started.load(Ordering::Relaxed))
 }
@@ -192,7 +192,7 @@ fn cancel_flag_interrupts_and_is_left_unchanged() {
     }))
     .start(&[-1.2, 1.0])
     .workers(2)
-    .context(RunContext::new().flagged(&shared).asking(&|| hanging.load(Ordering::Acquire)))
+    .context(RunContext::new().flagged(&shared).polling(&|| hanging.load(Ordering::Acquire)))
     .run()
     .unwrap_err();
     assert!(
@@ -221,7 +221,7 @@ fn cancel_flag_set_during_shutdown_is_not_lost() {
         minimize(cost)
             .start(&[-1.2, 1.0])
             .workers(2)
-            .context(RunContext::new().flagged(&flag).asking(&|| hanging.load(Ordering::Acquire)))
+            .context(RunContext::new().flagged(&flag).polling(&|| hanging.load(Ordering::Acquire)))
             .run()
     };
     let report = run().unwrap();
@@ -249,7 +249,7 @@ fn panic_of_context_function_ends_evaluations_and_keeps_the_flag() {
         minimize(cost)
             .start(&[-1.2, 1.0])
             .workers(2)
-            .context(RunContext::new().flagged(&flag).asking(&|| {
+            .context(RunContext::new().flagged(&flag).polling(&|| {
                 if hanging.load(Ordering::Acquire) {
                     std::panic::resume_unwind(Box::new("asked"))
                 } else {
@@ -325,7 +325,7 @@ fn workers_have_large_stacks() {
     let report = minimize(cost)
         .start(&[1.0])
         .workers(2)
-        .context(RunContext::new().asking(&|| false))
+        .context(RunContext::new().polling(&|| false))
         .max_evaluations(8)
         .run()
         .unwrap();

@@ -308,7 +308,7 @@ fn trace_length_can_be_limited() {
 }
 
 #[test]
-fn warm_start_begins_with_known_points() {
+fn warm_start_begins_with_evaluated_points() {
     let first = boxed(minimize(probe), &"de".parse().unwrap());
     let first = first.problem("probe").max_evaluations(200).run().unwrap();
     assert_eq!(first.trace.problem(), Some("probe"));

@@ -9,9 +9,9 @@ use crate::common;
 use clocked::{Clocked, Seen, hash, one_in, rosenbrock};
 use common::timeless;
 use dfo::{
-    Answer, AnyMethod, BatchView, Checkpoint, CmaEs, CutoffUse, DifferentialEvolution, Evaluator, Lookahead,
-    Minimize, Multistart, NelderMead, Outcome, PatternSearch, Polish, PollResult, Query, Report, Restarts,
-    Resume, Termination, Wait, Want, by_hand, minimize, minimize_batches, minimize_by,
+    Answer, AnyMethod, BatchView, Checkpoint, CmaEs, CutoffUse, DifferentialEvolution, EvaluationKind,
+    Evaluator, Lookahead, Minimize, Multistart, NelderMead, Outcome, PatternSearch, Polish, PollResult,
+    Query, Report, Restarts, Resume, Termination, Wait, by_hand, minimize, minimize_batches, minimize_by,
 };
 use std::cell::Cell;
 use std::rc::Rc;
@@ -24,7 +24,7 @@ fn answer_at(x: &[f64], query: &Query<'_>) -> Answer {
     if hash(x).is_multiple_of(13) {
         return Outcome::failed("no").into();
     }
-    if query.want == Want::Residuals {
+    if query.kind == EvaluationKind::Residuals {
         let pairs = x.windows(2).flat_map(|w| [10.0 * (w[1] - w[0] * w[0]), 1.0 - w[0]]);
         return Answer { residuals: pairs.collect(), ..Outcome::Value(cost).into() };
     }
@@ -167,7 +167,7 @@ fn path_with_failures_and_cutoffs_is_independent_of_answer_order() {
                 (clocked.answer, clocked.cutoff_use) = (answer_at, cutoff_use);
                 if cutoff_use == CutoffUse::No {
                     clocked.answer =
-                        |x, q| answer_at(x, &Query::new(q.id, q.batch, f64::INFINITY).want(q.want));
+                        |x, q| answer_at(x, &Query::new(q.id, q.batch, f64::INFINITY).kind(q.kind));
                 }
                 let run = described(minimize_by(clocked).with_residuals(true), &method, (4, 1500));
                 (run.workers(width).run().unwrap(), seen)

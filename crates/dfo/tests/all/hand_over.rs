@@ -25,20 +25,20 @@ fn kinked(x: &[f64]) -> f64 {
 #[test]
 fn auto_follows_quadratic_model_on_smooth_costs() {
     let run = |method: AnyMethod| minimize(rosenbrock).start(&[-1.2, 1.0]).method(method).run().unwrap();
-    let (own, model) = (run(auto()), run(QuadraticModel::default().into()));
-    assert_eq!(timeless(&own.trace), timeless(&model.trace));
-    assert!(own.is_success() && own.method == "quadratic-model", "{own}");
-    assert!(own.method_reason.unwrap().contains("Nelder-Mead if it has noise or kinks"));
-    assert!(!own.message.contains("switched to"), "{}", own.message);
+    let (auto_run, model) = (run(auto()), run(QuadraticModel::default().into()));
+    assert_eq!(timeless(&auto_run.trace), timeless(&model.trace));
+    assert!(auto_run.is_success() && auto_run.method == "quadratic-model", "{auto_run}");
+    assert!(auto_run.method_reason.unwrap().contains("Nelder-Mead if it has noise or kinks"));
+    assert!(!auto_run.message.contains("switched to"), "{}", auto_run.message);
 }
 
 #[test]
 fn auto_switches_to_nelder_mead_on_kinks() {
     let run = |method: AnyMethod| minimize(kinked).start(&[-1.0, 2.0]).method(method).run().unwrap();
-    let own = run(auto());
-    assert!(own.is_success() && own.fun < 1e-5, "{own}");
-    assert!(own.message.contains("; switched to nelder-mead after "), "{}", own.message);
-    assert!(own.final_simplex.is_some());
+    let auto_run = run(auto());
+    assert!(auto_run.is_success() && auto_run.fun < 1e-5, "{auto_run}");
+    assert!(auto_run.message.contains("; switched to nelder-mead after "), "{}", auto_run.message);
+    assert!(auto_run.final_simplex.is_some());
     let model = run(QuadraticModel::default().into());
     assert!(model.fun < 1e-5 || !model.is_success() && model.message.contains("kinks"), "{model}");
 }
@@ -98,12 +98,12 @@ fn auto_matches_nelder_mead_on_kinks() {
             units.push(place.map_or(f64::INFINITY, |place| (place + 1) as f64 / (p.n + 1) as f64));
         }
     }
-    let [(own, median), (simplex, other)] = units.map(|mut units| {
+    let [(n_auto, median), (simplex, other)] = units.map(|mut units| {
         units.sort_by(f64::total_cmp);
         (units.iter().filter(|u| u.is_finite()).count(), units[units.len() / 2])
     });
-    println!("auto {own} of 53, median {median:.1} (n + 1); nelder-mead {simplex}, {other:.1}");
-    assert!(own + 2 >= simplex && median <= 1.2 * other, "{own} {median} {simplex} {other}");
+    println!("auto {n_auto} of 53, median {median:.1} (n + 1); nelder-mead {simplex}, {other:.1}");
+    assert!(n_auto + 2 >= simplex && median <= 1.2 * other, "{n_auto} {median} {simplex} {other}");
 }
 
 /// A run that is aborted after `limit` evaluations.

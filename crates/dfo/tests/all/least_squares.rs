@@ -46,9 +46,9 @@ fn least_squares_survives_failing_regions() {
     }
 }
 
-type Told = (Vec<(Vec<u64>, Outcome, u64, u64, u64, bool)>, Vec<f64>, u64, Termination, String);
+type Summary = (Vec<(Vec<u64>, Outcome, u64, u64, u64, bool)>, Vec<f64>, u64, Termination, String);
 
-fn reported(report: &Report) -> Told {
+fn reported(report: &Report) -> Summary {
     let Report { trace, x, fun, termination, message, .. } = report;
     (timeless(trace), x.clone(), fun.to_bits(), termination.clone(), message.clone())
 }
@@ -390,7 +390,7 @@ fn computations_of_the_method_can_be_interrupted() {
                 looks.set(looks.get() + 1);
                 looks.get() > most
             };
-            interrupted.ask_unless(&RunContext::new().asking(&ask), &mut other);
+            interrupted.ask_unless(&RunContext::new().polling(&ask), &mut other);
             if !other.is_empty() {
                 break;
             }
@@ -413,10 +413,10 @@ fn computations_of_the_method_can_be_interrupted() {
         false
     };
     assert!(
-        plain.linear_model(&RunContext::new().asking(&count)).is_some() && n_looks.get() >= 4,
+        plain.linear_model(&RunContext::new().polling(&count)).is_some() && n_looks.get() >= 4,
         "{n_looks:?}"
     );
-    assert!(plain.linear_model(&RunContext::new().asking(&|| true)).is_none());
+    assert!(plain.linear_model(&RunContext::new().polling(&|| true)).is_none());
 }
 
 /// A run that is interrupted while its method computes ends immediately and can be continued.

@@ -293,8 +293,8 @@ fn covariance_is_infinite_for_collinear_columns_at_any_scale() {
 fn jacobian_of_many_parameters_matches_residuals() {
     let n = 120;
     let residuals = |x: &[f64], out: &mut Vec<f64>| {
-        let own = |k: usize| x[k] + 0.1 * x[k] * x[(k + 1) % x.len()];
-        out.extend((0..x.len()).map(|k| own(k) - 0.9 - 0.01 * noise(k)));
+        let term = |k: usize| x[k] + 0.1 * x[k] * x[(k + 1) % x.len()];
+        out.extend((0..x.len()).map(|k| term(k) - 0.9 - 0.01 * noise(k)));
         out.extend((0..x.len()).map(|k| 0.5 * x[k] - 0.4));
     };
     let report = least_squares(residuals).start(&vec![1.0; n]).run().unwrap();
@@ -302,8 +302,8 @@ fn jacobian_of_many_parameters_matches_residuals() {
     for k in 0..n {
         let next = (k + 1) % n;
         for j in 0..n {
-            let own = if j == k { 1.0 + 0.1 * x[next] } else { 0.0 };
-            let expected = own + if j == next { 0.1 * x[k] } else { 0.0 };
+            let slope = if j == k { 1.0 + 0.1 * x[next] } else { 0.0 };
+            let expected = slope + if j == next { 0.1 * x[k] } else { 0.0 };
             assert!(
                 (jacobian[k * n + j] - expected).abs() < 1e-2,
                 "{k} {j} {} {expected}",

@@ -85,7 +85,7 @@ fn values_at_the_minima_match_published_values() {
 }
 
 #[test]
-fn reference_solver_reaches_best_known_values() {
+fn reference_solver_reaches_best_published_values() {
     let instances = instances();
     assert_eq!(instances.len(), 53);
     let mut reached = 0;

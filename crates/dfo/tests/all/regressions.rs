@@ -38,13 +38,13 @@ fn nested_minimisation_with_workers_ends() {
         let run = minimize(move |y: &[f64]| (y[0] - a).powi(2))
             .start(&[0.0])
             .workers(3)
-            .context(RunContext::new().asking(&|| false));
+            .context(RunContext::new().polling(&|| false));
         run.run().unwrap().x[0].powi(2)
     };
     let report = minimize(outer)
         .start(&[1.0])
         .workers(2)
-        .context(RunContext::new().asking(&|| false))
+        .context(RunContext::new().polling(&|| false))
         .max_evaluations(30)
         .run()
         .unwrap();
@@ -70,7 +70,7 @@ fn panic_of_context_function_ends_the_batch() {
             }
             false
         };
-        minimize(objective).start(&[1.0; 12]).workers(2).context(RunContext::new().asking(&ask)).run()
+        minimize(objective).start(&[1.0; 12]).workers(2).context(RunContext::new().polling(&ask)).run()
     }));
     assert!(result.is_err());
     assert!(calls.load(Ordering::SeqCst) < 13);

@@ -2,9 +2,9 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use dfo::{
-    Answers, AnswersSoFar, Batch, BatchView, Checkpoint, Error, KnownPoint, LeastSquares, Lookahead, Method,
-    MethodDetails, MethodOptions, Minimize, Objective, Operation, Outcome, Setup, Status, Termination, Want,
-    by_hand, minimize, minimize_batches, residuals,
+    Answers, AnswersSoFar, Batch, BatchView, Checkpoint, Error, EvaluatedPoint, EvaluationKind, LeastSquares,
+    Lookahead, Method, MethodDetails, MethodOptions, Minimize, Objective, Operation, Outcome, Setup, Status,
+    Termination, by_hand, minimize, minimize_batches, residuals,
 };
 use serde::{Deserialize, Serialize};
 
@@ -67,7 +67,7 @@ impl Method for StencilsState {
                 self.cost.unwrap_or(f64::INFINITY),
             );
         }
-        batch.set_want(Want::Residuals);
+        batch.set_kind(EvaluationKind::Residuals);
         for k in 0..=n {
             let mut x = self.x.clone();
             if k > 0 {
@@ -83,7 +83,7 @@ impl Method for StencilsState {
         }
     }
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
-        if answers.outcomes().iter().any(|o| !o.is_known()) {
+        if answers.outcomes().iter().any(|o| !o.is_conclusive()) {
             return Ok(());
         }
         let n = self.x.len();
@@ -211,20 +211,21 @@ fn residuals_in_the_trace_are_not_recomputed() {
     let first = run().trace_residuals().run().unwrap();
     let kept: Vec<usize> = first.trace.iter().map(|e| e.residuals.len()).collect();
     assert_eq!((kept.iter().filter(|m| **m == 9).count(), kept.iter().filter(|m| **m == 0).count()), (32, 4));
-    let known = |e: dfo::TraceEntry<'_>| {
+    let point_of = |e: dfo::TraceEntry<'_>| {
         let (cost, problem) = (e.outcome.value().unwrap(), Some("decay".to_owned()));
-        KnownPoint { x: e.x.to_vec(), cost, residuals: e.residuals.to_vec(), problem }
+        EvaluatedPoint { x: e.x.to_vec(), cost, residuals: e.residuals.to_vec(), problem }
     };
-    let wanted = || first.trace.iter().filter(|e| !e.residuals.is_empty()).map(known);
-    let again = |points: Vec<KnownPoint>| run().known(points).max_evaluations(20).run().unwrap();
+    let wanted = || first.trace.iter().filter(|e| !e.residuals.is_empty()).map(point_of);
+    let again =
+        |points: Vec<EvaluatedPoint>| run().evaluated_points(points).max_evaluations(20).run().unwrap();
     // If residuals are known at the start, they are used. If only the cost is known, residuals are requested.
     assert_eq!(again(wanted().collect()).n_cached, 1);
-    let costs = again(wanted().map(|known| KnownPoint { residuals: Vec::new(), ..known }).collect());
+    let costs = again(wanted().map(|point| EvaluatedPoint { residuals: Vec::new(), ..point }).collect());
     assert_eq!((costs.n_cached, costs.n_failed), (0, 0));
     // Inconsistent residuals are reported.
-    let mut wrong: Vec<KnownPoint> = wanted().collect();
-    wrong.iter_mut().for_each(|known| known.residuals.truncate(5));
-    let error = run().known(wrong).max_evaluations(20).run().unwrap_err();
+    let mut wrong: Vec<EvaluatedPoint> = wanted().collect();
+    wrong.iter_mut().for_each(|point| point.residuals.truncate(5));
+    let error = run().evaluated_points(wrong).max_evaluations(20).run().unwrap_err();
     assert!(matches!(error, Error::ResidualCount { got: 9, expected: 5, .. }), "{error}");
 }
 
@@ -233,9 +234,9 @@ fn invalid_residual_vector_is_a_failure() {
     let run = |residuals: fn(&[f64]) -> Vec<f64>| {
         let objective = move |view: &BatchView<'_>| {
             let one = |k| {
-                let own = residuals(view.point(k));
-                view.set_residuals(k, &own);
-                Outcome::Value(own.iter().map(|r| r * r).filter(|r| r.is_finite()).sum())
+                let vector = residuals(view.point(k));
+                view.set_residuals(k, &vector);
+                Outcome::Value(vector.iter().map(|r| r * r).filter(|r| r.is_finite()).sum())
             };
             (0..view.len()).map(one).collect()
         };

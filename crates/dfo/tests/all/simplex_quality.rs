@@ -233,7 +233,7 @@ fn report_names_parameter_without_effect() {
     assert!(!reported.message.contains("no step"), "{reported}");
     let partly = minimize(|x: &[f64]| (x[0] - 3.0).powi(2) + x[1].powi(2))
         .start(&[1.0, 0.0])
-        .known_scales(&[None, Some(1.0)])
+        .optional_scales(&[None, Some(1.0)])
         .run()
         .unwrap();
     assert!(partly.is_success() && partly.fun < 1e-10, "{partly}");

@@ -36,9 +36,9 @@ fn cost(how: u64) -> impl Fn(&[f64], &Query<'_>) -> Outcome + Sync {
     }
 }
 
-type Told = Result<(Vec<u64>, u64, usize, usize, usize, Termination, Vec<Vec<u64>>), String>;
+type Summary = Result<(Vec<u64>, u64, usize, usize, usize, Termination, Vec<Vec<u64>>), String>;
 
-fn reported(run: Result<Report, Error>) -> Told {
+fn reported(run: Result<Report, Error>) -> Summary {
     let bits = |x: &[f64]| x.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
     match run {
         Ok(r) => {

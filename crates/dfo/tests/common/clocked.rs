@@ -44,11 +44,11 @@ pub struct Clocked<L> {
 impl<L: Fn(&[f64]) -> f64> Clocked<L> {
     pub fn new(width: usize, length: L) -> (Self, Rc<Seen>) {
         let seen = Rc::new(Seen::default());
-        let own = Rc::clone(&seen);
+        let shared = Rc::clone(&seen);
         let (waiting, running, cancelled) = (VecDeque::new(), Vec::new(), Vec::new());
         let answer = |x: &[f64], _: &Query<'_>| Outcome::Value(rosenbrock(x)).into();
         let cutoff_use = CutoffUse::No;
-        (Self { width, length, answer, cutoff_use, waiting, running, cancelled, seen: own }, seen)
+        (Self { width, length, answer, cutoff_use, waiting, running, cancelled, seen: shared }, seen)
     }
 
     fn begin(&mut self) {

@@ -288,9 +288,9 @@ pub fn residuals(number: usize, m: usize, x: &[f64]) -> Vec<f64> {
         20 => each(&|i, _| if i == 1 { x[0] - 1.0 } else { 10.0 * (x[i - 1] - x[i - 2].powi(3)) }),
         // Mancino.
         21 => each(&|i, t| {
-            let own = x[i - 1];
-            let sum: f64 = (1..=n).map(|j| wave((own * own + t / j as f64).sqrt())).sum();
-            1400.0 * own + (t - 50.0).powi(3) + sum
+            let x_i = x[i - 1];
+            let sum: f64 = (1..=n).map(|j| wave((x_i * x_i + t / j as f64).sqrt())).sum();
+            1400.0 * x_i + (t - 50.0).powi(3) + sum
         }),
         // Heart8.
         22 => {

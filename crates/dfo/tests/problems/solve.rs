@@ -87,8 +87,8 @@ fn gauss(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Vec<f64> {
         }
     }
     for step in (0..n).rev() {
-        let known: f64 = (step + 1..n).map(|k| a[step][k] * b[k]).sum();
-        b[step] = (b[step] - known) / a[step][step];
+        let sum: f64 = (step + 1..n).map(|k| a[step][k] * b[k]).sum();
+        b[step] = (b[step] - sum) / a[step][step];
     }
     b
 }

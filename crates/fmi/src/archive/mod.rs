@@ -207,8 +207,8 @@ impl Archive {
     /// Returns an error if the files can no longer be read, or if the archive has been modified since it was
     /// opened.
     pub fn content_hash(&self) -> Result<&str> {
-        if let Some(known) = self.content_hash.get() {
-            return Ok(known);
+        if let Some(hash) = self.content_hash.get() {
+            return Ok(hash);
         }
         let hash = match &self.content {
             Content::Packed(packed) => packed.hash()?,
@@ -281,8 +281,8 @@ impl Folder {
             name.starts_with("binaries/") && extension.is_some_and(|extension| extension == LIBRARY_EXTENSION)
         };
         let libraries = files.into_iter().filter(|(name, _)| is_library(name));
-        let known =
+        let with_identity =
             |(_, path): (String, PathBuf)| Some((path.clone(), file_identity(&path.metadata().ok()?)));
-        Ok(Self { root, limits: limits.clone(), libraries: libraries.filter_map(known).collect() })
+        Ok(Self { root, limits: limits.clone(), libraries: libraries.filter_map(with_identity).collect() })
     }
 }

@@ -124,9 +124,9 @@ impl<'a> Names<'a> {
     /// known.
     fn add_folders(&mut self, path: &'a str) -> Result<(), EntryProblem> {
         let mut above = path.rmatch_indices('/').map(|(end, _)| end);
-        let known = above.find(|&end| self.is_folder(&path[..end])).map_or(0, |end| end + 1);
-        for (end, _) in path[known..].match_indices('/') {
-            self.add_one(&path[..known + end], Kind::Folder)?;
+        let end_of_known = above.find(|&end| self.is_folder(&path[..end])).map_or(0, |end| end + 1);
+        for (end, _) in path[end_of_known..].match_indices('/') {
+            self.add_one(&path[..end_of_known + end], Kind::Folder)?;
         }
         Ok(())
     }

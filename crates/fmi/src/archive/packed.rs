@@ -217,7 +217,7 @@ impl Unpacked {
     /// missing files.
     fn look_after(&mut self, entries: &[Record]) -> Result<usize> {
         let Some(folder) = &mut self.folder else { return Ok(0) };
-        if self.folders.iter().all(|(folder, known)| known.is_some() && *known == identity(folder)) {
+        if self.folders.iter().all(|(folder, recorded)| recorded.is_some() && *recorded == identity(folder)) {
             return Ok(0);
         }
         folder.restore()?;
@@ -234,8 +234,8 @@ impl Unpacked {
     }
 
     fn note_folders(&mut self) {
-        for (folder, known) in &mut self.folders {
-            *known = identity(folder);
+        for (folder, recorded) in &mut self.folders {
+            *recorded = identity(folder);
         }
     }
 }

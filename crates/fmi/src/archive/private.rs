@@ -106,8 +106,8 @@ fn locks() -> MutexGuard<'static, Vec<(u32, PathBuf, Arc<File>)>> {
 fn take_lock(path: &Path) -> Option<Arc<File>> {
     let mut locks = locks();
     let process = std::process::id();
-    let known = locks.iter().rev().find(|(owner, ..)| *owner == process);
-    let named = known.filter(|(_, name, _)| cfg!(unix) && fs::hard_link(name, path).is_ok());
+    let of_process = locks.iter().rev().find(|(owner, ..)| *owner == process);
+    let named = of_process.filter(|(_, name, _)| cfg!(unix) && fs::hard_link(name, path).is_ok());
     let lock = match named {
         Some((.., lock)) => Arc::clone(lock),
         None => Arc::new(new_lock(path)?),
@@ -135,12 +135,12 @@ const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 /// ended. Folders of other users, recent folders that do not have a lock file yet, and folders with another
 /// layout are not changed.
 fn sweep(base: &Path) {
-    let Ok(own) = platform::own_file() else { return };
+    let Ok(user_file) = platform::file_of_user() else { return };
     for entry in fs::read_dir(base).into_iter().flatten().flatten() {
         let folder = entry.path();
         let is_named = entry.file_name().to_string_lossy().starts_with(PREFIX);
         let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
-        if !(is_named && is_folder && platform::keep_others_out(&folder, &own).is_ok()) {
+        if !(is_named && is_folder && platform::keep_others_out(&folder, &user_file).is_ok()) {
             continue;
         }
         remove_unlocked(&folder);
@@ -152,7 +152,7 @@ fn sweep(base: &Path) {
 
 /// Removes a folder with our layout whose lock file is not locked.
 fn remove_unlocked(folder: &Path) {
-    let Ok(mut lock) = base::files::open_own(&folder.join(LOCK)) else { return };
+    let Ok(mut lock) = base::files::open_of_user(&folder.join(LOCK)) else { return };
     let mut content = Vec::new();
     let is_ours =
         (&mut lock).take(MARK.len() as u64 + 1).read_to_end(&mut content).is_ok() && content == MARK;

@@ -131,9 +131,9 @@ fn inherit_types(draft: &mut Draft) -> Result<()> {
 }
 
 fn inherit(variable: &mut Variable, definition: &TypeDefinition, reading: &Reading) {
-    let fill = |own: &mut Option<String>, inherited: &Option<String>| {
-        if own.is_none() && inherited.as_ref().is_some_and(|text| reading.take_text(text)) {
-            own.clone_from(inherited);
+    let fill = |field: &mut Option<String>, inherited: &Option<String>| {
+        if field.is_none() && inherited.as_ref().is_some_and(|text| reading.take_text(text)) {
+            field.clone_from(inherited);
         }
     };
     fill(&mut variable.quantity, &definition.quantity);
@@ -167,11 +167,11 @@ fn resolve_dimensions(draft: &mut Draft) -> Result<()> {
         };
         for dimension in &variable.dimensions {
             let Dimension::Parameter(index) = *dimension else { continue };
-            let is_known = model
+            let is_declared = model
                 .variables
                 .get(index)
                 .is_some_and(|v| v.causality == Causality::StructuralParameter && v.kind.is_integer());
-            if !is_known {
+            if !is_declared {
                 return refuse(format!(
                     "\"{}\" has a dimension that is not a structural parameter",
                     variable.name
@@ -212,8 +212,8 @@ fn resolve_structure(draft: &mut Draft) -> Result<()> {
             return Err(FmiError::Description { file: MODEL_DESCRIPTION, line, message });
         }
     }
-    keep_known("output", &mut structure.outputs, output_lines, n_variables, quirks);
-    keep_known("initial unknown", &mut structure.initial_unknowns, initial_lines, n_variables, quirks);
+    keep_in_range("output", &mut structure.outputs, output_lines, n_variables, quirks);
+    keep_in_range("initial unknown", &mut structure.initial_unknowns, initial_lines, n_variables, quirks);
     let lists = [
         &mut structure.outputs,
         &mut structure.derivatives,
@@ -226,12 +226,18 @@ fn resolve_structure(draft: &mut Draft) -> Result<()> {
     Ok(())
 }
 
-fn keep_known(what: &str, list: &mut Vec<Unknown>, lines: &[u32], n_variables: usize, quirks: &mut Quirks) {
+fn keep_in_range(
+    what: &str,
+    list: &mut Vec<Unknown>,
+    lines: &[u32],
+    n_variables: usize,
+    quirks: &mut Quirks,
+) {
     let mut lines = lines.iter();
     list.retain(|unknown| {
         let line = lines.next().copied().unwrap_or(0);
-        let known = unknown.index < n_variables;
-        if !known {
+        let is_in_range = unknown.index < n_variables;
+        if !is_in_range {
             quirks.add(QuirkKind::Structure, line, || {
                 format!(
                     "an {what} refers to a variable that does not exist (the model has {n_variables} \
@@ -239,14 +245,14 @@ fn keep_known(what: &str, list: &mut Vec<Unknown>, lines: &[u32], n_variables: u
                 )
             });
         }
-        known
+        is_in_range
     });
 }
 
 /// Replaces invalid dependencies by "depends on all", which is always valid.
 fn resolve_dependencies(unknown: &mut Unknown, n_variables: usize, quirks: &mut Quirks) {
     let Unknown { index, dependencies, kinds } = unknown;
-    let in_range = dependencies.iter().flatten().all(|&known| known < n_variables);
+    let in_range = dependencies.iter().flatten().all(|&index| index < n_variables);
     if !in_range {
         *dependencies = None;
         quirks.add(QuirkKind::Structure, 0, || {
@@ -307,7 +313,7 @@ fn check_units(model: &ModelDescription, quirks: &mut Quirks) {
             continue;
         };
         let Some(shown) = variable.display_unit.as_deref().filter(|shown| *shown != name) else { continue };
-        if !unit.display_units.iter().any(|known| known.name == shown) && reported.insert((name, shown)) {
+        if !unit.display_units.iter().any(|display| display.name == shown) && reported.insert((name, shown)) {
             quirks.add(QuirkKind::Undefined, variable.line, || {
                 format!("display unit \"{shown}\" of \"{name}\" is not defined")
             });

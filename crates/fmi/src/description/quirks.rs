@@ -16,7 +16,7 @@ pub(super) struct Quirks {
 impl Quirks {
     /// Records a quirk. The message is created only if it is kept.
     pub(super) fn add(&mut self, kind: QuirkKind, line: u32, message: impl FnOnce() -> String) {
-        let count = match self.counts.iter_mut().find(|(known, _)| *known == kind) {
+        let count = match self.counts.iter_mut().find(|(counted, _)| *counted == kind) {
             Some((_, count)) => count,
             None => {
                 self.counts.push((kind, 0));

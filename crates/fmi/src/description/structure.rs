@@ -20,7 +20,7 @@ impl Structure {
     pub(crate) fn set(&mut self, index: usize, value: &Value) {
         let Value::Integer(value) = value else { return };
         let value = usize::try_from(*value).unwrap_or(0);
-        match self.values.iter_mut().find(|(known, _)| *known == index) {
+        match self.values.iter_mut().find(|(entry, _)| *entry == index) {
             Some(entry) => entry.1 = value,
             None => self.values.push((index, value)),
         }
@@ -36,7 +36,7 @@ impl Structure {
             Dimension::Fixed(extent) => return extent,
             Dimension::Parameter(index) => index,
         };
-        if let Some((_, value)) = self.values.iter().find(|(known, _)| *known == index) {
+        if let Some((_, value)) = self.values.iter().find(|(entry, _)| *entry == index) {
             return *value;
         }
         match model.variables.get(index).and_then(|parameter| parameter.start.as_ref()) {

@@ -202,7 +202,7 @@ impl Assignments {
             VariableKind::Real => self.reals.0.push(reference),
             VariableKind::String => self.strings.0.push(reference),
             VariableKind::Binary => self.binaries.0.push(reference),
-            kind => match self.packed.iter_mut().find(|(known, ..)| *known == kind) {
+            kind => match self.packed.iter_mut().find(|(packed_kind, ..)| *packed_kind == kind) {
                 Some((_, references, _)) => references.push(reference),
                 None => self.packed.push((kind, vec![reference], Vec::new())),
             },
@@ -225,7 +225,7 @@ impl Assignments {
             (VariableKind::Binary, Value::Binary(bytes)) => self.binaries.1.push(bytes.clone()),
             _ => {
                 let word = integer_codec::word(kind, value).ok_or_else(|| out_of_range(variable, value))?;
-                let group = self.packed.iter_mut().find(|(known, ..)| *known == kind);
+                let group = self.packed.iter_mut().find(|(packed_kind, ..)| *packed_kind == kind);
                 group.into_iter().for_each(|(_, _, words)| words.push(word));
             }
         }

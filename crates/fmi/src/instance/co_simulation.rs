@@ -125,7 +125,7 @@ impl Instance<StepMode, CoSimulation> {
             }
             let tick = core.progress.next_tick().filter(|tick| *tick < end - tolerance);
             let outcome = core.do_step(t, tick.map_or(length, |tick| tick - t), &|| Ok(()))?;
-            core.progress.is_event_asked = outcome.event && core.raw.has_event_mode();
+            core.progress.needs_event = outcome.event && core.raw.has_event_mode();
             match tick {
                 Some(tick) if outcome.complete && !outcome.early && !outcome.terminate => {
                     (t, length) = (tick, end - tick);

@@ -97,12 +97,14 @@ impl Core {
     /// Switches logging on or off. If `categories` is empty, all categories are selected.
     pub(crate) fn set_logging(&mut self, on: bool, categories: &[String]) -> Result<()> {
         let model = self.fmu.description();
-        let known = || model.log_categories.iter().map(|category| &category.name);
+        let declared = || model.log_categories.iter().map(|category| &category.name);
         // FMI 1.0 does not declare categories.
-        let is_unknown = |name: &&String| model.fmi_version.major > 1 && !known().any(|known| known == *name);
+        let is_unknown =
+            |name: &&String| model.fmi_version.major > 1 && !declared().any(|declared| declared == *name);
         if let Some(name) = categories.iter().find(is_unknown) {
-            let known: Vec<&str> = known().map(String::as_str).collect();
-            let problem = format!("unknown log category \"{name}\"; expected one of: {}", known.join(", "));
+            let available: Vec<&str> = declared().map(String::as_str).collect();
+            let problem =
+                format!("unknown log category \"{name}\"; expected one of: {}", available.join(", "));
             return Err(FmiError::BadSetting(problem));
         }
         self.raw.keep_log_categories(categories);

@@ -112,7 +112,7 @@ impl Core {
         let clocks = fmu.description().variables.iter().enumerate().filter_map(|(index, variable)| {
             let is_input = variable.kind == VariableKind::Clock && variable.causality == Causality::Input;
             let timing = variable.clock.as_deref().filter(|timing| timing.kind != ClockKind::Triggered)?;
-            let given = given.iter().find(|(known, _)| *known == index).map(|(_, interval)| *interval);
+            let given = given.iter().find(|(clock, _)| *clock == index).map(|(_, interval)| *interval);
             is_input.then(|| TimedClock::new(variable, *timing, given))
         });
         self.progress.clocks = clocks.collect();
@@ -141,7 +141,7 @@ impl Core {
         let variables = &self.fmu.description().variables;
         let is_ready =
             |index: usize| variables[index].kind == VariableKind::Clock || variables[index].clocks.is_empty();
-        self.progress.is_event_asked
+        self.progress.needs_event
             || self.progress.next_tick().is_some_and(|tick| tick <= t + tolerance)
             || self.progress.waiting.iter().any(|(index, _)| is_ready(*index))
     }
@@ -178,7 +178,7 @@ impl Core {
     pub(super) fn settle_events(&mut self, time: f64, tolerance: f64, limit: u32) -> Result<EventOutcome> {
         let mut total = EventOutcome::default();
         self.progress.before_inputs = None;
-        self.progress.is_event_asked = false;
+        self.progress.needs_event = false;
         for _ in 0..limit {
             let ticked = self.activate(time, tolerance)?;
             let outcome = self.iterate_events(time, tolerance, limit, &mut |_| Ok(()))?;

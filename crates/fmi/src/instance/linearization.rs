@@ -106,15 +106,15 @@ impl Instance<ContinuousTime> {
             derivatives().filter_map(|v| v.derivative.map(|state| &model.variables[state])),
         );
         let slopes = Vector::new(model, &structure, derivatives());
-        let is_known = states.len() == n && slopes.len() == n;
+        let has_states = states.len() == n && slopes.len() == n;
         let interface = model.model_exchange.as_ref();
         let is_offered = interface.is_some_and(|i| i.capabilities.provides_directional_derivative);
         let names = match self.state_names() {
-            _ if is_known => states.names.clone(),
+            _ if has_states => states.names.clone(),
             Ok(names) if names.len() == n => names.into_iter().map(|n| n.unwrap_or("?".to_owned())).collect(),
             _ => vec!["?".to_owned(); n],
         };
-        let columns = match is_offered && is_known && !differences {
+        let columns = match is_offered && has_states && !differences {
             true => self.by_directions(&states, &slopes, &inputs, &outputs)?,
             false => self.by_differences(n, &inputs, &outputs)?,
         };

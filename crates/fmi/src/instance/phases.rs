@@ -209,7 +209,7 @@ impl<P, K> Instance<P, K> {
         Ok(SavedState { slot, phase: phase_name::<P>(), structure, progress })
     }
 
-    fn check_own(&self, state: &SavedState) -> Result<()> {
+    fn check_origin(&self, state: &SavedState) -> Result<()> {
         if self.core.raw.owns(&state.slot) { Ok(()) } else { Err(FmiError::ForeignState) }
     }
 
@@ -238,7 +238,7 @@ impl<P: Readable, K> Instance<P, K> {
     pub fn get(&mut self, name: &str) -> Result<Value> {
         let fmu = self.core.fmu.clone();
         let index = assignments::resolve(fmu.description(), name)?;
-        if let Some((_, value)) = self.core.progress.waiting.iter().find(|(known, _)| *known == index) {
+        if let Some((_, value)) = self.core.progress.waiting.iter().find(|(waiting, _)| *waiting == index) {
             return Ok(value.clone());
         }
         self.core.value(&fmu.description().variables[index])
@@ -366,7 +366,7 @@ impl<P: Phase, K> Instance<P, K> {
     /// [`FmiError::StateOfAnotherPhase`]. Also returns an error if the FMU does not support saved states, or
     /// returns an error.
     pub fn restore_state(&mut self, state: &SavedState) -> Result<()> {
-        self.check_own(state)?;
+        self.check_origin(state)?;
         let now = phase_name::<P>();
         if state.phase != now {
             return Err(FmiError::StateOfAnotherPhase { saved: state.phase, now });

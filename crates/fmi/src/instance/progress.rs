@@ -15,7 +15,7 @@ pub(crate) struct Progress {
     /// Values that the importer sets when event mode is next entered (co-simulation).
     pub(super) waiting: Vec<(usize, Value)>,
     /// True if the model has requested event mode and has not entered it since (co-simulation).
-    pub(super) is_event_asked: bool,
+    pub(super) needs_event: bool,
     /// Next time event of the model or tick of a clock.
     pub(super) next_event: Option<f64>,
     /// Time of the last event as seen by the model. It is later than the time of the run by at most a
@@ -32,7 +32,7 @@ pub(crate) struct Progress {
 
 /// Stores the value of a variable, replacing an earlier value.
 pub(super) fn note<T>(values: &mut Vec<(usize, T)>, index: usize, value: T) {
-    values.retain(|(known, _)| *known != index);
+    values.retain(|(noted, _)| *noted != index);
     values.push((index, value));
 }
 

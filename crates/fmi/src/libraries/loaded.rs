@@ -91,8 +91,8 @@ impl LoadedLibrary {
         if self.table(kind).is_some() {
             return Ok(());
         }
-        let known = [InterfaceKind::ModelExchange, InterfaceKind::CoSimulation];
-        let other = known.into_iter().find_map(|kind| self.table(kind).clone());
+        let kinds = [InterfaceKind::ModelExchange, InterfaceKind::CoSimulation];
+        let other = kinds.into_iter().find_map(|kind| self.table(kind).clone());
         let library = match &other {
             Some(other) => open(LoadFrom::Loaded(other))?,
             None => open(LoadFrom::File(&self.path, &self.lock))?,

@@ -46,7 +46,7 @@ const MOST: usize = 16;
 
 /// Intended use of a library.
 #[derive(Clone, Copy)]
-pub(crate) struct Wanted<'a> {
+pub(crate) struct LibraryRequest<'a> {
     pub(crate) kind: InterfaceKind,
     /// All variables that will be set, sorted; `None` for any variables, set by the user.
     pub(crate) settings: Option<&'a [Setting]>,
@@ -81,16 +81,16 @@ impl Libraries {
     /// ([`FmiError::Cancelled`]).
     pub(crate) fn get(
         &self,
-        wanted: Wanted<'_>,
+        request: LibraryRequest<'_>,
         maker: &Maker<'_>,
         wait: &mut dyn FnMut() -> bool,
     ) -> Result<Arc<LoadedLibrary>, FmiError> {
-        let Wanted { kind, settings, only_one } = wanted;
+        let LibraryRequest { kind, settings, only_one } = request;
         let _turn = self.making.enter_while(wait).ok_or(FmiError::Cancelled)?;
         let source = self.source(kind, maker.archive, maker.loader, maker.find)?;
-        let known = self.find(&source, settings, only_one);
-        let is_known = known.is_some();
-        let library = match known {
+        let loaded = self.find(&source, settings, only_one);
+        let is_loaded = loaded.is_some();
+        let library = match loaded {
             Some(library) => library,
             None => {
                 source.check_unchanged()?;
@@ -101,7 +101,7 @@ impl Libraries {
         };
         library.ensure_table(kind, maker.open)?;
         library.note_set(settings);
-        if !is_known {
+        if !is_loaded {
             lock(&self.loaded).push((source, Arc::clone(&library)));
         }
         Ok(library)
@@ -118,8 +118,8 @@ impl Libraries {
         loader: LoaderOptions,
         find: &dyn Fn() -> Result<LibraryFile, FmiError>,
     ) -> Result<Arc<OriginalLibrary>, FmiError> {
-        let known = lock(&self.sources[kind as usize]).clone();
-        if let Some(source) = known {
+        let cached = lock(&self.sources[kind as usize]).clone();
+        if let Some(source) = cached {
             return Ok(source);
         }
         let source = Arc::new(OriginalLibrary::new(find()?, archive, loader)?);
@@ -160,6 +160,6 @@ impl Libraries {
 
     /// Stops using a library.
     pub(crate) fn give_up(&self, library: &Arc<LoadedLibrary>) {
-        lock(&self.loaded).retain(|(_, known)| !Arc::ptr_eq(known, library));
+        lock(&self.loaded).retain(|(_, other)| !Arc::ptr_eq(other, library));
     }
 }

@@ -16,7 +16,7 @@ pub(crate) struct ResetKnowledge {
 pub(crate) enum StopTime {
     /// Passed: no last step has been rejected so far.
     #[default]
-    Told,
+    Passed,
     /// The last step was rejected. The next run omits the stop time, for comparison.
     OnTrial,
     /// Omitted: the last step was rejected with a stop time and succeeded without one.
@@ -26,23 +26,23 @@ pub(crate) enum StopTime {
 }
 
 impl StopTime {
-    pub(crate) fn is_told(self) -> bool {
-        matches!(self, Self::Told | Self::Kept)
+    pub(crate) fn is_passed(self) -> bool {
+        matches!(self, Self::Passed | Self::Kept)
     }
 
-    /// Returns the state after the model failed in a run. `was_told` is true if this run passed the stop
+    /// Returns the state after the model failed in a run. `was_passed` is true if this run passed the stop
     /// time.
-    pub(crate) fn after_failure(self, was_told: bool) -> Self {
-        if self == Self::OnTrial && !was_told { Self::Kept } else { self }
+    pub(crate) fn after_failure(self, was_passed: bool) -> Self {
+        if self == Self::OnTrial && !was_passed { Self::Kept } else { self }
     }
 
-    /// Returns the state after a last step. `was_told` is true if its run passed the stop time.
-    pub(crate) fn after_last_step(self, was_told: bool, is_refused: bool) -> Self {
-        match (self, was_told, is_refused) {
-            (Self::Told, true, true) => Self::OnTrial,
+    /// Returns the state after a last step. `was_passed` is true if its run passed the stop time.
+    pub(crate) fn after_last_step(self, was_passed: bool, is_refused: bool) -> Self {
+        match (self, was_passed, is_refused) {
+            (Self::Passed, true, true) => Self::OnTrial,
             (Self::OnTrial, false, false) => Self::Withheld,
-            (known, _, true) => known.after_failure(was_told),
-            (known, ..) => known,
+            (stop_time, _, true) => stop_time.after_failure(was_passed),
+            (stop_time, ..) => stop_time,
         }
     }
 }
@@ -74,9 +74,9 @@ mod tests {
     #[test]
     fn stop_time_is_withheld_when_last_step_succeeds_without_it() {
         let after = |steps: &[bool]| {
-            steps
-                .iter()
-                .fold(StopTime::Told, |known, refused| known.after_last_step(known.is_told(), *refused))
+            steps.iter().fold(StopTime::Passed, |stop_time, refused| {
+                stop_time.after_last_step(stop_time.is_passed(), *refused)
+            })
         };
         assert_eq!(after(&[false, true]), StopTime::OnTrial);
         assert_eq!(after(&[true, false, true]), StopTime::Withheld);

@@ -18,7 +18,7 @@ pub(crate) fn shared_library_options() -> &'static [&'static str] {
 }
 
 /// Puts a command and its child processes into a separate group, so that they can be ended together.
-pub(crate) fn in_own_group(command: &mut Command) {
+pub(crate) fn in_process_group(command: &mut Command) {
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(command, 0);
     #[cfg(not(unix))]

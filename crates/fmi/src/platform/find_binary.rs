@@ -116,11 +116,11 @@ mod tests {
     #[test]
     fn find_binary_lists_library_of_other_machine() {
         let root = tempfile::tempdir().unwrap();
-        let mine = root.path().join("binaries").join(&binary_folders(FolderNames::SystemAndBits)[0]);
+        let folder = root.path().join("binaries").join(&binary_folders(FolderNames::SystemAndBits)[0]);
         let other = root.path().join("binaries/plan9");
-        fs::create_dir_all(&mine).unwrap();
+        fs::create_dir_all(&folder).unwrap();
         fs::create_dir_all(&other).unwrap();
-        fs::write(mine.join(format!("m.{LIBRARY_EXTENSION}")), foreign_library()).unwrap();
+        fs::write(folder.join(format!("m.{LIBRARY_EXTENSION}")), foreign_library()).unwrap();
         let message = find_binary(root.path(), "m", FolderNames::SystemAndBits).unwrap_err().to_string();
         assert!(message.contains("ELF machine 21") && message.contains("plan9 (empty)"), "{message}");
         assert!(message.contains(&binary_folders(FolderNames::SystemAndBits)[0]), "{message}");
@@ -129,20 +129,20 @@ mod tests {
     #[test]
     fn find_binary_accepts_single_library_with_other_name() {
         let root = tempfile::tempdir().unwrap();
-        let mine = root.path().join("binaries").join(&binary_folders(FolderNames::SystemAndBits)[0]);
-        fs::create_dir_all(&mine).unwrap();
+        let folder = root.path().join("binaries").join(&binary_folders(FolderNames::SystemAndBits)[0]);
+        fs::create_dir_all(&folder).unwrap();
         let program = env::current_exe().unwrap();
-        let library = mine.join(format!("other.{LIBRARY_EXTENSION}"));
+        let library = folder.join(format!("other.{LIBRARY_EXTENSION}"));
         fs::copy(&program, &library).unwrap();
         let found = find_binary(root.path(), "m", FolderNames::SystemAndBits).unwrap();
         assert_eq!(found.path, library);
         assert!(found.note.unwrap().contains("\"m\""));
-        fs::copy(&program, mine.join(format!("third.{LIBRARY_EXTENSION}"))).unwrap();
+        fs::copy(&program, folder.join(format!("third.{LIBRARY_EXTENSION}"))).unwrap();
         assert!(matches!(
             find_binary(root.path(), "m", FolderNames::SystemAndBits),
             Err(FmiError::NoBinary { .. })
         ));
-        let exact = mine.join(format!("m.{LIBRARY_EXTENSION}"));
+        let exact = folder.join(format!("m.{LIBRARY_EXTENSION}"));
         fs::copy(&program, &exact).unwrap();
         assert_eq!(
             find_binary(root.path(), "m", FolderNames::SystemAndBits).unwrap(),

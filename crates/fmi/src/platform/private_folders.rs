@@ -69,8 +69,8 @@ pub(crate) fn create_private_folder(path: &Path) -> io::Result<()> {
     {
         use std::os::unix::fs::MetadataExt;
         let found = fs::symlink_metadata(path)?;
-        let own = own_file()?.metadata()?.uid();
-        if !found.is_dir() || found.uid() != own || found.mode() & 0o022 != 0 {
+        let user = file_of_user()?.metadata()?.uid();
+        if !found.is_dir() || found.uid() != user || found.mode() & 0o022 != 0 {
             return Err(io::Error::new(io::ErrorKind::PermissionDenied, "other users can write to it"));
         }
     }
@@ -78,19 +78,19 @@ pub(crate) fn create_private_folder(path: &Path) -> io::Result<()> {
 }
 
 /// Returns an unnamed file of this user.
-pub(crate) fn own_file() -> io::Result<File> {
+pub(crate) fn file_of_user() -> io::Result<File> {
     tempfile::tempfile()
 }
 
-/// Removes write permission for the group from a folder. `own` is a file of this user. Returns an error if
-/// all users may write to the folder, or if it has another owner than `own`. Other users may have written
-/// files there.
-pub(crate) fn keep_others_out(folder: &Path, own: &File) -> io::Result<()> {
+/// Removes write permission for the group from a folder. `user_file` is a file of this user. Returns an error
+/// if all users may write to the folder, or if it has another owner than `user_file`. Other users may have
+/// written files there.
+pub(crate) fn keep_others_out(folder: &Path, user_file: &File) -> io::Result<()> {
     #[cfg(unix)]
     {
         use std::os::unix::fs::{MetadataExt, PermissionsExt};
         let found = folder.metadata()?;
-        if found.uid() != own.metadata()?.uid() || found.mode() & 0o002 != 0 {
+        if found.uid() != user_file.metadata()?.uid() || found.mode() & 0o002 != 0 {
             return Err(io::Error::new(io::ErrorKind::PermissionDenied, "other users can write to it"));
         }
         if found.mode() & 0o020 != 0 {
@@ -98,7 +98,7 @@ pub(crate) fn keep_others_out(folder: &Path, own: &File) -> io::Result<()> {
         }
     }
     #[cfg(not(unix))]
-    let _ = (folder, own);
+    let _ = (folder, user_file);
     Ok(())
 }
 

@@ -133,15 +133,15 @@ impl HeldTable {
     /// Creates a column from words, one for each time.
     pub(crate) fn of_words(times: &Arc<[f64]>, words: &[i64]) -> Self {
         let mut numbers: HashMap<i64, f64> = HashMap::new();
-        let mut known: Vec<i64> = Vec::new();
+        let mut distinct: Vec<i64> = Vec::new();
         let values = words.iter().map(|word| {
             *numbers.entry(*word).or_insert_with(|| {
-                known.push(*word);
-                (known.len() - 1) as f64
+                distinct.push(*word);
+                (distinct.len() - 1) as f64
             })
         });
         let column = InputTable { values: values.collect(), times: Arc::clone(times) };
-        Self { column, words: Some(known.into()) }
+        Self { column, words: Some(distinct.into()) }
     }
 
     /// Returns the column with opposite values, for a variable of this kind.

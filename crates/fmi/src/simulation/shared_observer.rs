@@ -42,8 +42,8 @@ impl Observer for &SharedObserver<'_> {
     fn sample(&mut self, sample: &Sample<'_>) -> ControlFlow<()> {
         self.observer.borrow_mut().sample(sample)
     }
-    fn wants_steps(&self) -> bool {
-        self.observer.borrow().wants_steps()
+    fn needs_steps(&self) -> bool {
+        self.observer.borrow().needs_steps()
     }
     fn step(&mut self, step: &StepView<'_>) {
         self.observer.borrow_mut().step(step);

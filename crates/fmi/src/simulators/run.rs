@@ -39,7 +39,7 @@ impl Simulator {
     /// ended the simulation.
     fn enter(&mut self, observer: &mut dyn Observer) -> Result<Inside, FmiError> {
         let cancel = CancelRequest::from(self.plan.options.cancel.clone());
-        let mut goes_on = || !cancel.is_asked() && observer.poll().is_continue();
+        let mut goes_on = || !cancel.is_requested() && observer.poll().is_continue();
         loop {
             self.ensure_library(&mut goes_on)?;
             let Some(library) = &self.library else { continue };

@@ -40,8 +40,8 @@ impl SharedSimulator {
         let lock = || self.simulator.lock().unwrap_or_else(PoisonError::into_inner);
         // The simulator is taken out so that it is not used again after a panic. `work` may also call this
         // function again.
-        let known = lock().take();
-        let mut simulator = match known {
+        let kept = lock().take();
+        let mut simulator = match kept {
             Some(simulator) => simulator,
             None => Simulator::new(Arc::clone(&self.plan))?,
         };

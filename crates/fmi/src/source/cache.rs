@@ -42,8 +42,8 @@ fn folder(name: &str) -> Result<PathBuf> {
 /// libraries are loaded from it.
 fn prepare(folder: &Path) -> io::Result<()> {
     fs::create_dir_all(folder)?;
-    let own = tempfile::Builder::new().prefix(UNFINISHED).tempfile_in(folder)?;
-    platform::keep_others_out(folder, own.as_file())
+    let user_file = tempfile::Builder::new().prefix(UNFINISHED).tempfile_in(folder)?;
+    platform::keep_others_out(folder, user_file.as_file())
 }
 
 /// Returns the file `file_name` with this `key` in a subfolder. If it does not exist, `make` creates it at
@@ -230,11 +230,11 @@ mod tests {
     fn cache_rejects_folder_writable_by_others() {
         use std::os::unix::fs::PermissionsExt;
         let root = tempfile::tempdir().unwrap();
-        let mine = root.path().join("mine");
-        platform::create_private_folder(&mine).unwrap();
-        platform::create_private_folder(&mine).unwrap();
-        fs::set_permissions(&mine, fs::Permissions::from_mode(0o777)).unwrap();
-        assert!(platform::create_private_folder(&mine).is_err());
+        let private = root.path().join("mine");
+        platform::create_private_folder(&private).unwrap();
+        platform::create_private_folder(&private).unwrap();
+        fs::set_permissions(&private, fs::Permissions::from_mode(0o777)).unwrap();
+        assert!(platform::create_private_folder(&private).is_err());
         let link = root.path().join("link");
         std::os::unix::fs::symlink(root.path(), &link).unwrap();
         assert!(platform::create_private_folder(&link).is_err());

@@ -35,7 +35,7 @@ impl Patience<'_> {
             if let Some(status) = child.try_wait()? {
                 return Ok(Ok(status));
             }
-            let reason = match (self.cancel.is_asked(), began.elapsed() >= self.limit) {
+            let reason = match (self.cancel.is_requested(), began.elapsed() >= self.limit) {
                 (true, _) => Impatience::Cancelled,
                 (_, true) => Impatience::TimeLimit,
                 _ => {
@@ -93,7 +93,7 @@ impl Compiler {
         let answer = tempfile::tempfile().and_then(|reported| Ok((reported.try_clone()?, reported)));
         let (out, mut reported) = answer.map_err(FmiError::io("run", &program))?;
         question.stdout(out).stderr(Stdio::null());
-        platform::in_own_group(&mut question);
+        platform::in_process_group(&mut question);
         limit_compiler(&mut question, patience.limit.min(ANSWER_TIME));
         let short = Patience { limit: patience.limit.min(ANSWER_TIME), ..*patience };
         let Ok(mut child) = question.spawn() else { return Ok(None) };
@@ -134,7 +134,7 @@ impl Compiler {
             Err(error) => return Err(run(error)),
         };
         command.stdout(out).stderr(err);
-        platform::in_own_group(&mut command);
+        platform::in_process_group(&mut command);
         limit_compiler(&mut command, patience.limit);
         let ended = command.spawn().and_then(|mut child| patience.wait(&mut child));
         let status = match ended.map_err(run)? {

@@ -39,7 +39,7 @@ impl Callbacks {
     pub(super) fn new(filter: LogFilter) -> Self {
         let log: &Log = Box::leak(Box::new(Log::new(filter)));
         let environment: &Environment = Box::leak(Box::new(Environment::new(log)));
-        environment.make_known();
+        environment.register();
         Self { environment, keep: OnceLock::new(), log }
     }
 
@@ -71,12 +71,12 @@ impl Callbacks {
 }
 
 /// Addresses of the environments passed to FMUs.
-static KNOWN: Mutex<Vec<usize>> = Mutex::new(Vec::new());
+static REGISTERED: Mutex<Vec<usize>> = Mutex::new(Vec::new());
 
 /// Returns the environment at an address, or NULL.
 extern "C" fn find(address: *const c_void) -> *const Environment {
-    let known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
-    if known.contains(&address.addr()) { address.cast() } else { std::ptr::null() }
+    let registered = REGISTERED.lock().unwrap_or_else(PoisonError::into_inner);
+    if registered.contains(&address.addr()) { address.cast() } else { std::ptr::null() }
 }
 
 /// Target of `componentEnvironment`, with the layout declared in `logger.c`.
@@ -102,13 +102,13 @@ impl Environment {
     }
 
     /// Registers the environment, so that it receives messages from threads that are not inside a call.
-    fn make_known(&'static self) {
-        let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
-        if known.is_empty() {
+    fn register(&'static self) {
+        let mut registered = REGISTERED.lock().unwrap_or_else(PoisonError::into_inner);
+        if registered.is_empty() {
             // SAFETY: no FMU has an environment yet, so none calls the logger.
             unsafe { fmufit_set_find(find) };
         }
-        known.push(std::ptr::from_ref(self).addr());
+        registered.push(std::ptr::from_ref(self).addr());
     }
 }
 
@@ -392,9 +392,9 @@ mod tests {
 
     #[test]
     fn logger_uses_passed_environment_on_foreign_threads() {
-        let (mine, other) = (Callbacks::new(LogFilter::All), Callbacks::new(LogFilter::All));
-        mine.enter();
-        let passed = std::ptr::from_ref(other.environment()).addr();
+        let (first, second) = (Callbacks::new(LogFilter::All), Callbacks::new(LogFilter::All));
+        first.enter();
+        let passed = std::ptr::from_ref(second.environment()).addr();
         let say = move || {
             for passed in [0, 1, passed] {
                 // SAFETY: callbacks are never freed; the format takes no arguments.
@@ -404,7 +404,7 @@ mod tests {
             }
         };
         std::thread::spawn(say).join().unwrap();
-        assert_eq!((texts(mine.log()), texts(other.log())), (Vec::new(), vec!["late".to_owned()]));
+        assert_eq!((texts(first.log()), texts(second.log())), (Vec::new(), vec!["late".to_owned()]));
     }
 
     #[test]

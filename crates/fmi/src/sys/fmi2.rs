@@ -114,9 +114,9 @@ impl Version for Fmi2 {
     unsafe fn directional_derivative(&self, c: Component, along: Direction<'_>, out: &mut [f64]) -> Answer {
         let Direction { unknowns, knowns, seed } = along;
         let (list, n) = (unknowns.as_ptr(), unknowns.len());
-        let (known, n_known) = (knowns.as_ptr(), knowns.len());
+        let (knowns_pointer, n_knowns) = (knowns.as_ptr(), knowns.len());
         let function = &self.directional_derivative;
-        call!(function, c, list, n, known, n_known, seed.as_ptr(), out.as_mut_ptr())
+        call!(function, c, list, n, knowns_pointer, n_knowns, seed.as_ptr(), out.as_mut_ptr())
     }
 
     unsafe fn new_discrete_states(&self, c: Component, info: &mut EventInfo) -> Answer {

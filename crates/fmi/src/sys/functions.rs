@@ -107,9 +107,9 @@ pub(super) unsafe fn derivative(
 ) -> Answer {
     let Direction { unknowns, knowns, seed } = along;
     let (list, n) = (unknowns.as_ptr(), unknowns.len());
-    let (known, n_known) = (knowns.as_ptr(), knowns.len());
+    let (knowns_pointer, n_knowns) = (knowns.as_ptr(), knowns.len());
     let (out, n_out) = (out.as_mut_ptr(), out.len());
-    call!(function, c, list, n, known, n_known, seed.as_ptr(), seed.len(), out, n_out)
+    call!(function, c, list, n, knowns_pointer, n_knowns, seed.as_ptr(), seed.len(), out, n_out)
 }
 
 /// `fmiStatusKind` and `fmi2StatusKind`.
@@ -144,10 +144,10 @@ impl Functions {
         }
         let (mut reached, mut terminated) = (f64::NAN, 0);
         // Both queries may fail; the result is then unknown.
-        let known = call!(self.get_real_status, component, LAST_SUCCESSFUL_TIME, &raw mut reached).status;
-        info.reached = (known == Status::Ok && reached.is_finite()).then_some(reached);
-        let known = call!(self.get_boolean_status, component, TERMINATED, &raw mut terminated).status;
-        info.terminate = known == Status::Ok && terminated != 0;
-        info.may_have_ended = known != Status::Ok && info.reached.is_some();
+        let status = call!(self.get_real_status, component, LAST_SUCCESSFUL_TIME, &raw mut reached).status;
+        info.reached = (status == Status::Ok && reached.is_finite()).then_some(reached);
+        let status = call!(self.get_boolean_status, component, TERMINATED, &raw mut terminated).status;
+        info.terminate = status == Status::Ok && terminated != 0;
+        info.may_have_ended = status != Status::Ok && info.reached.is_some();
     }
 }

@@ -145,7 +145,7 @@ impl Library {
     /// Returns callbacks for a new instance.
     pub(super) fn callbacks(&self, filter: LogFilter) -> Callbacks {
         let retired = self.retired.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        retired.inspect(|known| known.renew(filter)).unwrap_or_else(|| Callbacks::new(filter))
+        retired.inspect(|callbacks| callbacks.renew(filter)).unwrap_or_else(|| Callbacks::new(filter))
     }
 
     /// Accepts the callbacks of a freed instance for reuse.

@@ -132,18 +132,19 @@ mod tests {
             fmi2::Fmi2::NAMES,
             Fmi3::NAMES,
         ];
-        let is_one_of = |names: &str, name| names.split_whitespace().any(|known| known == name);
+        let is_one_of =
+            |names: &str, name| names.split_whitespace().any(|name_of_standard| name_of_standard == name);
         let mut n = 0;
         for row in tables.into_iter().flatten() {
             for (place, name) in row.iter().enumerate().filter(|(_, name)| name.starts_with('f')) {
                 // A row with a single name belongs to a single version.
                 let version = if row.len() == 1 { name.as_bytes()[3] - b'1' } else { place as u8 };
-                let known = match version {
+                let is_standard = match version {
                     1 => name.strip_prefix("fmi2").is_some_and(|name| is_one_of(FMI2, name)),
                     2 => name.strip_prefix("fmi3").is_some_and(|name| is_one_of(FMI3, name)),
                     _ => name.strip_prefix("fmi").is_some_and(|name| is_one_of(FMI1, name)),
                 };
-                assert!(known, "{name}");
+                assert!(is_standard, "{name}");
                 n += 1;
             }
         }

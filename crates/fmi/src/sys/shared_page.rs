@@ -164,8 +164,8 @@ impl Page {
         let n = shared.n_names.load(Ordering::Relaxed) as usize;
         let cut = &name.as_bytes()[..name.len().min(NAME)];
         let is_same = |row: &[AtomicU8; NAME]| {
-            let known = row.iter().map(|byte| byte.load(Ordering::Relaxed));
-            known.take_while(|byte| *byte != 0).eq(cut.iter().copied())
+            let stored = row.iter().map(|byte| byte.load(Ordering::Relaxed));
+            stored.take_while(|byte| *byte != 0).eq(cut.iter().copied())
         };
         let place = match shared.names.iter().take(n).position(is_same) {
             Some(place) => place,

@@ -28,15 +28,15 @@ impl StartedAhead {
 /// returned value is dropped, unless it is in use. Returns `None` if it cannot be started. The error is
 /// reported when a worker is needed.
 pub fn start_ahead() -> Option<Arc<StartedAhead>> {
-    let mut known = AHEAD.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some(ahead) = known.upgrade().filter(|ahead| ahead.content().is_some()) {
+    let mut started = AHEAD.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(ahead) = started.upgrade().filter(|ahead| ahead.content().is_some()) {
         return Some(ahead);
     }
-    let launcher = Launcher::known()?;
+    let launcher = Launcher::current()?;
     let starter = Starter::start(&launcher).ok()?;
     let content = Ahead { starter, launcher, owner: std::process::id() };
     let ahead = Arc::new(StartedAhead(Mutex::new(Some(content))));
-    *known = Arc::downgrade(&ahead);
+    *started = Arc::downgrade(&ahead);
     Some(ahead)
 }
 

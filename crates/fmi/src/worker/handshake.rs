@@ -13,14 +13,14 @@ use std::path::PathBuf;
 pub(super) const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "/4");
 
 /// Environment variable that requests a process to serve; the value is the version.
-pub(super) const ASKED: &str = "FMUFIT_WORKER";
+pub(super) const WORKER_VARIABLE: &str = "FMUFIT_WORKER";
 
 /// Environment variable with the maximum log level.
 pub(super) const LEVEL: &str = "FMUFIT_WORKER_LOG";
 
 /// True if this process was started to serve.
-pub fn is_asked() -> bool {
-    std::env::var_os(ASKED).is_some()
+pub fn is_worker_start() -> bool {
+    std::env::var_os(WORKER_VARIABLE).is_some()
 }
 
 /// Order to start a worker.

@@ -44,9 +44,9 @@ impl InputFunction {
     fn numbered(of_caller: Option<u64>, function: Box<dyn Fn(f64) -> f64 + Send + Sync>) -> Self {
         static NEXT: AtomicU64 = AtomicU64::new(0);
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
-        let own = Arc::new(Numbered { number, of_caller, function });
-        FUNCTIONS.lock().unwrap_or_else(PoisonError::into_inner).insert(number, Arc::downgrade(&own));
-        Self(own)
+        let registered = Arc::new(Numbered { number, of_caller, function });
+        FUNCTIONS.lock().unwrap_or_else(PoisonError::into_inner).insert(number, Arc::downgrade(&registered));
+        Self(registered)
     }
 
     /// Returns the value at a time.
@@ -62,9 +62,9 @@ impl InputFunction {
 
     /// Returns the value of the function of this process with this number; NaN if it no longer exists.
     pub(crate) fn value_of(number: u64, time: f64) -> f64 {
-        let known =
+        let function =
             FUNCTIONS.lock().unwrap_or_else(PoisonError::into_inner).get(&number).and_then(Weak::upgrade);
-        known.map_or(f64::NAN, |own| (own.function)(time))
+        function.map_or(f64::NAN, |numbered| (numbered.function)(time))
     }
 }
 
@@ -95,7 +95,7 @@ impl<'de> Deserialize<'de> for InputFunction {
 
 /// A request for a value.
 #[derive(Serialize, Deserialize)]
-struct Wanted {
+struct ValueRequest {
     function: u64,
     time: f64,
 }
@@ -119,7 +119,7 @@ fn ask_for_value(function: u64, time: f64) -> f64 {
     let ask = |(exchange, frame): &mut (Exchange, Frame)| {
         frame.clear();
         frame.is_asking = true;
-        frame.set_head(&Wanted { function, time })?;
+        frame.set_head(&ValueRequest { function, time })?;
         exchange(frame)?;
         Ok::<_, io::Error>(frame.numbers.first().copied())
     };
@@ -129,8 +129,8 @@ fn ask_for_value(function: u64, time: f64) -> f64 {
 }
 
 /// Replaces a request for a value by the answer.
-pub(super) fn answer_wanted(frame: &mut Frame) -> io::Result<()> {
-    let Wanted { function, time } = frame.head()?;
+pub(super) fn answer_request(frame: &mut Frame) -> io::Result<()> {
+    let ValueRequest { function, time } = frame.head()?;
     frame.clear();
     frame.numbers.push(InputFunction::value_of(function, time));
     Ok(())

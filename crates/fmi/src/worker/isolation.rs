@@ -36,7 +36,7 @@ impl FromStr for Isolation {
     type Err = crate::error::FmiError;
 
     fn from_str(name: &str) -> Result<Self, Self::Err> {
-        let found = Self::NAMES.iter().find(|(known, _)| known.eq_ignore_ascii_case(name));
+        let found = Self::NAMES.iter().find(|(listed, _)| listed.eq_ignore_ascii_case(name));
         found.map(|(_, isolation)| *isolation).ok_or_else(|| {
             crate::error::FmiError::BadSetting(format!(
                 "isolation = \"{name}\" is invalid; expected one of: \"process\", \"none\""
@@ -73,7 +73,7 @@ pub struct Repeat<'a> {
 
 /// Choice of the process that receives a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum AskedProcess {
+pub enum RequestedProcess {
     /// Any idle process with the required load; a new one if there is none.
     Any,
     /// The process with the required load that has been idle the longest.

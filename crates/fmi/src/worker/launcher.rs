@@ -1,6 +1,6 @@
 //! Command that starts a worker process.
 
-use super::handshake::{ASKED, LEVEL, VERSION};
+use super::handshake::{LEVEL, VERSION, WORKER_VARIABLE};
 use crate::sys::{PRELOAD, PRELOADED_BEFORE};
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -20,7 +20,7 @@ pub struct Launcher {
     pub preload: Option<PathBuf>,
 }
 
-static KNOWN: Mutex<Option<Launcher>> = Mutex::new(None);
+static CURRENT: Mutex<Option<Launcher>> = Mutex::new(None);
 
 impl Launcher {
     /// Creates a launcher for a program without arguments.
@@ -33,31 +33,31 @@ impl Launcher {
     #[must_use]
     pub fn preloading(mut self, library: PathBuf) -> Self {
         let is_listable = |byte: &u8| !byte.is_ascii_whitespace() && *byte != b':';
-        let is_this = || {
-            let (program, this) = (self.program.canonicalize().ok()?, std::env::current_exe().ok()?);
-            (program == this.canonicalize().ok()?).then_some(())
+        let is_this_program = || {
+            let (program, current) = (self.program.canonicalize().ok()?, std::env::current_exe().ok()?);
+            (program == current.canonicalize().ok()?).then_some(())
         };
         let is_possible = cfg!(target_os = "linux")
             && library.as_os_str().as_encoded_bytes().iter().all(is_listable)
-            && is_this().is_some();
+            && is_this_program().is_some();
         self.preload = is_possible.then_some(library);
         self
     }
 
     /// Uses this launcher for all workers that this process starts from now on.
     pub fn set(self) {
-        *KNOWN.lock().unwrap_or_else(PoisonError::into_inner) = Some(self);
+        *CURRENT.lock().unwrap_or_else(PoisonError::into_inner) = Some(self);
     }
 
     /// Returns the launcher of workers; `None` if it has not been set.
-    pub(super) fn known() -> Option<Self> {
-        KNOWN.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    pub(super) fn current() -> Option<Self> {
+        CURRENT.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Returns the command that starts the program to serve.
     pub(super) fn command(&self) -> Command {
         let mut command = Command::new(&self.program);
-        command.args(&self.arguments).env(ASKED, VERSION).env(LEVEL, log::max_level().as_str());
+        command.args(&self.arguments).env(WORKER_VARIABLE, VERSION).env(LEVEL, log::max_level().as_str());
         if let Some(library) = &self.preload {
             let before = std::env::var_os(PRELOAD).unwrap_or_default();
             let mut libraries = before.clone();
@@ -70,11 +70,11 @@ impl Launcher {
 }
 
 /// Makes this program the launcher, unless another one has been set.
-pub(super) fn know_this_program() {
-    let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
-    if known.is_none()
+pub(super) fn set_this_program() {
+    let mut launcher = CURRENT.lock().unwrap_or_else(PoisonError::into_inner);
+    if launcher.is_none()
         && let Ok(program) = std::env::current_exe()
     {
-        *known = Some(Launcher::of(program));
+        *launcher = Some(Launcher::of(program));
     }
 }

@@ -32,9 +32,9 @@ mod workers;
 
 pub use ahead::{StartedAhead, start_ahead};
 pub use frame::{Frame, FrameSize, is_in_frame};
-pub use handshake::is_asked;
+pub use handshake::is_worker_start;
 pub use input_function::InputFunction;
-pub use isolation::{AskedProcess, Isolation, Question, Repeat};
+pub use isolation::{Isolation, Question, Repeat, RequestedProcess};
 pub use launcher::Launcher;
 pub use limits::{AnswerLimits, WorkerLimits};
 pub use load::Load;

@@ -3,9 +3,9 @@
 
 use super::folder::remove;
 use super::frame::{Frame, FrameSize};
-use super::handshake::{ASKED, Arrival, Assigned, Hello, LEVEL, VERSION};
+use super::handshake::{Arrival, Assigned, Hello, LEVEL, VERSION, WORKER_VARIABLE};
 use super::input_function::{Exchange, VALUE, set_caller};
-use super::launcher::know_this_program;
+use super::launcher::set_this_program;
 use super::notes::{Notes, keep_lines, take_lines};
 use super::platform::{Channel, await_order, confine_self, limit_self, wait_until_closed};
 use super::service::Service;
@@ -32,8 +32,8 @@ const STACK_SIZE: usize = 64 << 20;
 /// ends, and this function does not return. Otherwise, it returns immediately. Call it at the beginning of
 /// `main`, before any other thread is started.
 pub fn serve_if_worker(service: impl FnOnce() -> Box<dyn Service + Send>) {
-    know_this_program();
-    let Some(version) = std::env::var_os(ASKED) else { return };
+    set_this_program();
+    let Some(version) = std::env::var_os(WORKER_VARIABLE) else { return };
     let served = match version == VERSION {
         true => serve(service()),
         false => Err(io::Error::other(format!("this program supports version {VERSION}, not {version:?}"))),
@@ -113,7 +113,7 @@ fn answer_requests(mut service: Box<dyn Service + Send>, worker: &Assigned<Chann
         let _ = catch_unwind(AssertUnwindSafe(|| service.prepare()));
     }
 
-    let own = std::process::id();
+    let process_id = std::process::id();
     let (mut requested, mut answer, mut buffer) = (Frame::default(), Frame::default(), Vec::new());
     let (mut questions, mut answers) = (BufReader::with_capacity(BUFFER, channel), channel);
     let number = Rc::new(Cell::new(0));
@@ -128,8 +128,8 @@ fn answer_requests(mut service: Box<dyn Service + Send>, worker: &Assigned<Chann
         number.set(requested.number);
         answer.clear();
         let is_cancelled = || page.is_cancelled();
-        respond(&mut *service, &requested, &RunContext::new().asking(&is_cancelled), &mut answer)?;
-        if std::process::id() != own {
+        respond(&mut *service, &requested, &RunContext::new().polling(&is_cancelled), &mut answer)?;
+        if std::process::id() != process_id {
             // The FMU has forked, and this process is the copy.
             std::process::abort();
         }

@@ -2,7 +2,7 @@
 
 use super::frame::{Frame, FrameSize, PatientWriter, decode};
 use super::handshake::{Arrival, Hello, Start, no_worker};
-use super::input_function::answer_wanted;
+use super::input_function::answer_request;
 use super::isolation::Question;
 use super::load::LoadId;
 use super::notes::Notes;
@@ -177,7 +177,7 @@ impl Process {
                     if read.is_err() || !answer.is_asking {
                         break read;
                     }
-                    let reported = answer_wanted(answer).and_then(|()| {
+                    let reported = answer_request(answer).and_then(|()| {
                         look()?;
                         let mut to = PatientWriter { to: self.channel.get_ref(), wait: &mut look };
                         answer.write(number, &mut to, &mut self.buffer)
@@ -263,7 +263,7 @@ impl Process {
     }
 
     /// True if this process started the worker.
-    pub(super) fn is_own(&self) -> bool {
+    pub(super) fn is_child(&self) -> bool {
         self.owner == std::process::id()
     }
 
@@ -274,7 +274,7 @@ impl Process {
 
     /// Ends the worker and all processes that it has started. Describes its end, if known.
     fn kill(&mut self) -> Option<String> {
-        if self.has_ended || !self.is_own() {
+        if self.has_ended || !self.is_child() {
             return None;
         }
         self.has_ended = true;
@@ -351,7 +351,7 @@ struct Watch<'a> {
     run_limit: Option<RunLimit>,
     /// Latest time of the answer.
     end: Option<Instant>,
-    asked_to_end: Option<Instant>,
+    cancelled_at: Option<Instant>,
     why: Option<KillReason>,
     next_look: Instant,
 }
@@ -359,8 +359,8 @@ struct Watch<'a> {
 impl<'a> Watch<'a> {
     fn new(page: &'a Page, handle: &'a ProcessHandle, most_memory: u64, context: &'a RunContext<'a>) -> Self {
         let next_look = Instant::now() + LOOK;
-        let (run_limit, end, asked_to_end, why) = (None, None, None, None);
-        Self { page, handle, most_memory, context, run_limit, end, asked_to_end, why, next_look }
+        let (run_limit, end, cancelled_at, why) = (None, None, None, None);
+        Self { page, handle, most_memory, context, run_limit, end, cancelled_at, why, next_look }
     }
 
     /// Returns an error if the wait must end.
@@ -374,11 +374,11 @@ impl<'a> Watch<'a> {
         if self.handle.has_ended_within(Duration::ZERO) {
             return Err(ErrorKind::UnexpectedEof.into());
         }
-        if self.asked_to_end.is_none() && self.context.is_over() {
+        if self.cancelled_at.is_none() && self.context.is_over() {
             self.page.set_cancelled(true);
-            self.asked_to_end = Some(now);
+            self.cancelled_at = Some(now);
         }
-        let is_out_of_grace = self.asked_to_end.is_some_and(|since| now > since + GRACE_OF_CANCELLED);
+        let is_out_of_grace = self.cancelled_at.is_some_and(|since| now > since + GRACE_OF_CANCELLED);
         let runs = self.page.runs();
         let is_hung = self.run_limit.as_mut().is_some_and(|limit| limit.is_over(runs, now));
         if is_out_of_grace {

@@ -4,7 +4,7 @@
 use super::ahead;
 use super::frame::{Frame, FrameSize};
 use super::handshake::{Start, no_worker};
-use super::isolation::{AskedProcess, Question, Repeat};
+use super::isolation::{Question, Repeat, RequestedProcess};
 use super::launcher::Launcher;
 use super::limits::{AnswerLimits, WorkerLimits};
 use super::load::{Load, LoadId};
@@ -150,8 +150,8 @@ impl PinnedProcess {
     }
 
     /// True if this process started the worker. False in a child forked from the starting process.
-    pub fn is_own(&self) -> bool {
-        self.process.is_own()
+    pub fn is_child(&self) -> bool {
+        self.process.is_child()
     }
 
     /// True if the worker has ended.
@@ -162,8 +162,8 @@ impl PinnedProcess {
 
 impl Launcher {
     /// True if this program can start worker processes.
-    pub fn is_known() -> bool {
-        HAS_WORKERS && Self::known().is_some()
+    pub fn is_set() -> bool {
+        HAS_WORKERS && Self::current().is_some()
     }
 }
 
@@ -171,7 +171,7 @@ impl Workers {
     /// Creates a set without starting any process. Returns `None` if this program cannot start workers (see
     /// [`Launcher`]).
     pub fn new(limits: WorkerLimits) -> Option<Arc<Self>> {
-        let launcher = Launcher::known().filter(|_| HAS_WORKERS)?;
+        let launcher = Launcher::current().filter(|_| HAS_WORKERS)?;
         Some(Arc::new(Self {
             launcher,
             limits,
@@ -252,8 +252,8 @@ impl Workers {
     /// Returns the starter of workers. Uses a starter prepared in advance, or starts a new one.
     fn starter(&self, load: &Load) -> Result<(Arc<Starter>, LoadId), FmiError> {
         let mut idle = self.idle();
-        if let Some(known) = idle.starter.as_ref().filter(|(starter, _)| !starter.is_broken()) {
-            return Ok(known.clone());
+        if let Some(starter) = idle.starter.as_ref().filter(|(starter, _)| !starter.is_broken()) {
+            return Ok(starter.clone());
         }
         let starter = ahead::take(&self.launcher).map_or_else(|| Starter::start(&self.launcher), Ok)?;
         load.frame().and_then(|frame| starter.load(&frame)).map_err(no_worker)?;
@@ -317,11 +317,11 @@ impl Workers {
         question: &Question<'_>,
         answer: &mut Frame,
         accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
-        whom: AskedProcess,
+        whom: RequestedProcess,
         mut repeat: Option<&mut Repeat<'_>>,
     ) -> Result<(T, Vec<Quirk>), FmiError> {
         let _held = self.hold();
-        let is_fresh = matches!(whom, AskedProcess::Fresh | AskedProcess::FreshOnce);
+        let is_fresh = matches!(whom, RequestedProcess::Fresh | RequestedProcess::FreshOnce);
         let is_of_end = Cell::new(false);
         let mut call = |process: Option<Process>| {
             is_of_end.set(false);
@@ -340,7 +340,7 @@ impl Workers {
                 (*outcome, can_go_on) = (Some(reported.map(drop)), goes_on);
             }
             // Otherwise, the process is dropped here, which ends it.
-            if can_go_on && whom != AskedProcess::FreshOnce {
+            if can_go_on && whom != RequestedProcess::FreshOnce {
                 self.give_back(process);
             }
             accepted
@@ -377,12 +377,12 @@ impl Workers {
     fn avoid_call_at_end_of_run<T>(&self, process: &Process, answer: &Result<T, FmiError>) -> bool {
         let Err(FmiError::WorkerEnded(end)) = answer else { return false };
         let Some(function) = end.call_at_end_of_run() else { return false };
-        let is_known = |calls: &[String]| calls.iter().any(|call| call == function);
-        if is_known(&process.avoided_calls) {
+        let is_listed = |calls: &[String]| calls.iter().any(|call| call == function);
+        if is_listed(&process.avoided_calls) {
             return false;
         }
         let mut idle = self.idle();
-        if is_known(&idle.avoided_calls) {
+        if is_listed(&idle.avoided_calls) {
             return true;
         }
         idle.avoided_calls.push(function.to_owned());
@@ -440,11 +440,11 @@ impl Workers {
 
     fn idle(&self) -> MutexGuard<'_, Idle> {
         let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
-        let this = std::process::id();
-        if idle.owner != this {
+        let process_id = std::process::id();
+        if idle.owner != process_id {
             idle.processes.clear();
             (idle.begun, idle.starter) = (None, None);
-            (idle.owner, idle.is_watched, idle.n_held) = (this, false, 0);
+            (idle.owner, idle.is_watched, idle.n_held) = (process_id, false, 0);
         }
         idle
     }
@@ -465,19 +465,19 @@ impl Workers {
 
     /// Returns an idle process with this load, or one that is [lent](Load::in_processes_of). No other process
     /// is used, because earlier work in a process may affect its answers.
-    fn idle_process(&self, load: &Load, whom: AskedProcess) -> Option<Process> {
+    fn idle_process(&self, load: &Load, whom: RequestedProcess) -> Option<Process> {
         let mut idle = self.idle();
         let is_of_load = |(process, _): &(Process, Instant)| process.loaded == Some(load.id);
         let place = match whom {
-            AskedProcess::Any => {
+            RequestedProcess::Any => {
                 let is_lent = |(process, _): &(Process, Instant)| {
                     process.loaded.is_some_and(|loaded| loaded.owner == load.id.owner)
                 };
-                let own = idle.processes.iter().rposition(is_of_load);
-                own.or_else(|| idle.processes.iter().rposition(is_lent))
+                let of_load = idle.processes.iter().rposition(is_of_load);
+                of_load.or_else(|| idle.processes.iter().rposition(is_lent))
             }
-            AskedProcess::LongestIdle => idle.processes.iter().position(is_of_load),
-            AskedProcess::Fresh | AskedProcess::FreshOnce => None,
+            RequestedProcess::LongestIdle => idle.processes.iter().position(is_of_load),
+            RequestedProcess::Fresh | RequestedProcess::FreshOnce => None,
         };
         Some(idle.processes.remove(place?).0)
     }

@@ -601,7 +601,10 @@ fn aliases_are_recorded_by_their_names() {
     assert_eq!(names(&["lev*"]), ["level[1]", "level[2]", "level[3]"]);
     assert_eq!(names(&["level[2]", "x[2]"]), ["level[2]", "x[2]"]);
     let all = names(&["all"]);
-    assert!(["x[1]", "level[1]", "sum"].iter().all(|name| all.iter().any(|known| known == name)), "{all:?}");
+    assert!(
+        ["x[1]", "level[1]", "sum"].iter().all(|name| all.iter().any(|listed| listed == name)),
+        "{all:?}"
+    );
     // A different name results in a separate column; the same name does not.
     assert_eq!(names(&["level", "*evel", "x"]).iter().filter(|name| *name == "level[1]").count(), 1);
     let result = fmu.simulate(&SimulateOptions::new().outputs(["x", "level"])).unwrap();

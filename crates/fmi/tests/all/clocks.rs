@@ -87,10 +87,10 @@ fn clock_attributes_are_inherited_from_types() {
     }
 
     // An interval of the variable takes precedence, although the interval of the type is a fraction.
-    let own =
+    let with_interval =
         edited.replace("declaredType=\"third type\"", "declaredType=\"third type\" intervalDecimal=\"0.25\"");
-    let own = fmi::ModelDescription::parse(own.as_bytes()).unwrap();
-    let timing = own.variable("third").unwrap().clock.as_ref().unwrap();
+    let with_interval = fmi::ModelDescription::parse(with_interval.as_bytes()).unwrap();
+    let timing = with_interval.variable("third").unwrap().clock.as_ref().unwrap();
     assert_eq!((timing.interval, timing.shift), (Some(Interval::Decimal(0.25)), Interval::Fraction(1, 3)));
 }
 

@@ -49,7 +49,7 @@ const START: [f64; 2] = [0.0, 0.0];
 const MIDDLE: [f64; 2] = [0.4, 0.6];
 const QUARTER: [f64; 2] = [0.24, 0.25];
 
-fn stuck(kind: &ErrorKind) -> bool {
+fn step_too_small(kind: &ErrorKind) -> bool {
     matches!(kind, ErrorKind::StepTooSmall { discarded: true })
 }
 
@@ -74,9 +74,9 @@ const FAULTS: [(f64, &str, Ends, Ends); 12] = [
         Call("Derivatives", Status::Error, MIDDLE, "broken beyond t = 0.5"),
         Call("DoStep", Status::Error, MIDDLE, "broken beyond t = 0.5"),
     ),
-    (13.0, "DISCARD_LATE", Integration(stuck), Call("DoStep", Status::Discard, MIDDLE, "DoStep")),
-    (14.0, "NAN_LATE", Integration(stuck), Well(Termination::Finished)),
-    (15.0, "INFINITE_LATE", Integration(stuck), Well(Termination::Finished)),
+    (13.0, "DISCARD_LATE", Integration(step_too_small), Call("DoStep", Status::Discard, MIDDLE, "DoStep")),
+    (14.0, "NAN_LATE", Integration(step_too_small), Well(Termination::Finished)),
+    (15.0, "INFINITE_LATE", Integration(step_too_small), Well(Termination::Finished)),
     (16.0, "HUGE_VALUES", Well(Termination::Finished), Well(Termination::Finished)),
     (17.0, "EVENT_STORM", Integration(|kind| matches!(kind, ErrorKind::Chattering { .. })), NotHere),
     (18.0, "ENDLESS_EVENTS", Iteration, Iteration),

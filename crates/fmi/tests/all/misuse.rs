@@ -212,8 +212,8 @@ fn run_rejects_wrong_number_of_parameters_and_non_finite_values() {
 /// instance that no longer exists.
 #[test]
 fn restore_state_rejects_foreign_states() {
-    let own = model("dahlquist");
-    let fmu = own.open();
+    let dahlquist = model("dahlquist");
+    let fmu = dahlquist.open();
     let mut instance = in_continuous_time(&fmu);
     let mut sibling = in_continuous_time(&fmu);
     let other = model("furuta");

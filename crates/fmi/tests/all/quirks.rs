@@ -187,12 +187,13 @@ fn binary_with_another_name_is_used_when_it_is_the_only_one() {
     let folder = evil(&[]);
     let place =
         binaries(&folder).join(&fmi::platform::binary_folders(fmi::platform::FolderNames::SystemAndBits)[0]);
-    let [own, other] =
+    let [library, other] =
         ["evil", "model_2"].map(|name| place.join(format!("{name}.{}", fmi::platform::LIBRARY_EXTENSION)));
-    std::fs::rename(&own, &other).unwrap();
+    std::fs::rename(&library, &other).unwrap();
     assert!((end(&folder) - (-1f64).exp()).abs() < 1e-8);
     // With two such libraries the choice is ambiguous.
-    std::fs::copy(&other, own.with_file_name(format!("third.{}", fmi::platform::LIBRARY_EXTENSION))).unwrap();
+    std::fs::copy(&other, library.with_file_name(format!("third.{}", fmi::platform::LIBRARY_EXTENSION)))
+        .unwrap();
     let error = folder.open().instantiate().unwrap_err();
     assert!(matches!(error, FmiError::NoBinary { .. }) && error.to_string().contains("third"), "{error}");
 }

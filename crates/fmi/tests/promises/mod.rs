@@ -22,18 +22,18 @@ pub const SMALL: ArchiveLimits = ArchiveLimits {
 /// removed with the archive.
 pub fn hold_for_archive(path: &Path) {
     match Archive::open_with(path, &SMALL, &CancelRequest::default()) {
-        Err(error) => assert_says_something(&error),
+        Err(error) => assert_has_message(&error),
         Ok(archive) => {
             let root = archive.unpack();
             match &root {
-                Err(error) => assert_says_something(error),
+                Err(error) => assert_has_message(error),
                 Ok(root) => {
                     assert!(root.join("modelDescription.xml").is_file());
                     assert!(size_below(root) <= SMALL.total_bytes);
                 }
             }
             match ModelDescription::read(&archive) {
-                Err(error) => assert_says_something(&error),
+                Err(error) => assert_has_message(&error),
                 Ok(description) => hold_for_description(&description),
             }
             drop(archive);
@@ -45,7 +45,7 @@ pub fn hold_for_archive(path: &Path) {
 /// Parses any bytes as a model description.
 pub fn hold_for_document(bytes: &[u8]) {
     match ModelDescription::parse(bytes) {
-        Err(error) => assert_says_something(&error),
+        Err(error) => assert_has_message(&error),
         Ok(description) => hold_for_description(&description),
     }
 }
@@ -73,7 +73,7 @@ pub fn hold_for_description(model: &ModelDescription) {
     assert!(model.quirks.iter().all(|quirk| !quirk.message.is_empty()));
 }
 
-fn assert_says_something(error: &FmiError) {
+fn assert_has_message(error: &FmiError) {
     assert!(error.to_string().len() > 10, "{error}");
 }
 

@@ -25,14 +25,14 @@ pub(super) struct Document<'c> {
 pub(crate) fn run(arguments: &Check, console: &Console) -> Result<Exit, Error> {
     let file = problem::of_arguments(&arguments.problem, console)?;
     let interrupt = Interrupt::watch()?;
-    let is_asked = || interrupt.is_asked();
-    let calibration = file.calibration(&RunContext::new().asking(&is_asked))?;
+    let is_requested = || interrupt.is_requested();
+    let calibration = file.calibration(&RunContext::new().polling(&is_requested))?;
     // Also finds mistakes in the options of the fit.
     let n = calibration.parameters().len();
     check_fit(&calibration, &file.options(n)?, &file.stages(n, None)?)?;
     let line = console.live_line();
-    let shown = || line.show_until(interrupt.is_asked(), "checking");
-    let context = RunContext::new().asking(&shown);
+    let shown = || line.show_until(interrupt.is_requested(), "checking");
+    let context = RunContext::new().polling(&shown);
     let options = CheckOptions { simulate: !arguments.no_run, ..CheckOptions::default() };
     let check = calibration.check_with(&options, &context).map_err(Error::of_work)?;
     let is_bad = check.findings.iter().any(|finding| finding.severity == Severity::Error);

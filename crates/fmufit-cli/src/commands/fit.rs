@@ -33,8 +33,8 @@ pub(crate) fn run(arguments: &arguments::Fit, begin: Begin, console: &Console) -
     check_written(written.into_iter().flatten(), &file.files())?;
     arguments.report.iter().try_for_each(|path| report::check_suffix(path))?;
     let interrupt = Interrupt::watch()?;
-    let is_asked = || interrupt.is_asked();
-    let calibration = file.calibration(&RunContext::new().asking(&is_asked))?;
+    let is_requested = || interrupt.is_requested();
+    let calibration = file.calibration(&RunContext::new().polling(&is_requested))?;
     calibration.columns_without_unit().iter().for_each(|reported| console.note(reported));
     let n = calibration.parameters().len();
     let mut options = file.options(n)?;
@@ -56,23 +56,23 @@ pub(crate) fn run(arguments: &arguments::Fit, begin: Begin, console: &Console) -
     // Checked before the page gets an address, and separately from later failures.
     check_fit(&calibration, &options, &stages)?;
     let watch = arguments.watch.then(|| watch(&calibration, console)).transpose()?;
-    let fit = searched(&calibration, options, &stages, (&is_asked, watch.as_ref()), console)
+    let fit = searched(&calibration, options, &stages, (&is_requested, watch.as_ref()), console)
         .inspect_err(|error| watch.iter().for_each(|watch| watch.show_error(&error.to_string())))?;
     // Printed first, because the following steps may take long or fail.
     print(&fit, &calibration, arguments.json, console)?;
     // The page of the result waits for a request.
-    let is_interrupted = fit.report.termination == Termination::Interrupted || interrupt.is_asked();
+    let is_interrupted = fit.report.termination == Termination::Interrupted || interrupt.is_requested();
     if let Some(path) = &arguments.save {
         fit.save(&calibration, path).map_err(Error::of_input)?;
         console.note(&format!("saved {}", path.display()));
     }
     if let Some(path) = &arguments.report {
-        if interrupt.is_asked() {
+        if interrupt.is_requested() {
             console.note(
                 "no report was written after Ctrl-C; use fmufit report to write the report of a saved fit",
             );
         } else {
-            report::write(&fit, &calibration, path, None, &RunContext::new().asking(&is_asked))?;
+            report::write(&fit, &calibration, path, None, &RunContext::new().polling(&is_requested))?;
             console.note(&format!("wrote {}", path.display()));
         }
     }
@@ -157,14 +157,14 @@ fn show_report(
     interrupt: &Interrupt,
     console: &Console,
 ) {
-    let is_asked = || interrupt.is_asked();
-    if interrupt.is_asked() || !console.is_terminal() {
+    let is_requested = || interrupt.is_requested();
+    if interrupt.is_requested() || !console.is_terminal() {
         return;
     }
-    match watch.show_report(calibration, fit, &RunContext::new().asking(&is_asked)) {
+    match watch.show_report(calibration, fit, &RunContext::new().polling(&is_requested)) {
         Ok(()) => {
             console.say(&format!("the report is available at {} until you press Ctrl-C", watch.url()));
-            while !(interrupt.is_asked() || watch.is_closed()) {
+            while !(interrupt.is_requested() || watch.is_closed()) {
                 std::thread::sleep(Duration::from_millis(50));
             }
         }
@@ -190,18 +190,18 @@ pub(super) fn searched(
         state: RefCell::default(),
     };
     let poll = || {
-        let is_asked = is_interrupted();
-        match is_asked {
+        let is_requested = is_interrupted();
+        match is_requested {
             true => shown.line.end(),
             false => shown.show(),
         }
-        is_asked || watch.is_some_and(LivePage::is_stop_asked)
+        is_requested || watch.is_some_and(LivePage::is_stop_requested)
     };
     let observer = |progress: &Progress<'_>| {
         shown.note(calibration, progress);
         ControlFlow::Continue(())
     };
-    let context = RunContext::new().asking(&poll);
+    let context = RunContext::new().polling(&poll);
     let options = FitOptions { context, observer: Some(Box::new(observer)), ..options };
     let fit = match stages.is_empty() {
         true => calibration.fit(options),

@@ -14,18 +14,18 @@ use serde_json::{Value as Json, json};
 pub(crate) fn run(arguments: &Info, console: &Console) -> Result<Exit, Error> {
     let fmu = arguments.limits.open(&arguments.model)?;
     let description = fmu.description();
-    let is_asked = |variable: &&Variable| match &arguments.causality {
+    let is_requested = |variable: &&Variable| match &arguments.causality {
         Some(word) => variable.causality.name().eq_ignore_ascii_case(word),
         None => true,
     };
-    let requested: Vec<&Variable> = description.variables.iter().filter(is_asked).collect();
+    let requested: Vec<&Variable> = description.variables.iter().filter(is_requested).collect();
     if let Some(word) = arguments.causality.as_ref().filter(|_| requested.is_empty()) {
-        let mut known: Vec<&str> = description.variables.iter().map(|v| v.causality.name()).collect();
-        known.sort_unstable();
-        known.dedup();
-        let known = known.join(", ");
+        let mut available: Vec<&str> = description.variables.iter().map(|v| v.causality.name()).collect();
+        available.sort_unstable();
+        available.dedup();
+        let available = available.join(", ");
         return Err(Error::input(format!(
-            "--causality {word}: no variable has this causality; expected one of: {known}"
+            "--causality {word}: no variable has this causality; expected one of: {available}"
         )));
     }
     if arguments.json {

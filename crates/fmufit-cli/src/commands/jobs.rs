@@ -74,12 +74,12 @@ impl JobFit {
             // These simulations run in this job.
             uncertainty.workers = Some(base::available_cores());
         }
-        let is_asked = || {
-            let is_asked = is_over() || (is_once && state.is_waiting.get());
-            state.is_leaving.set(state.is_leaving.get() || is_asked);
-            is_asked
+        let is_requested = || {
+            let is_requested = is_over() || (is_once && state.is_waiting.get());
+            state.is_leaving.set(state.is_leaving.get() || is_requested);
+            is_requested
         };
-        let fit = searched(&self.calibration, options, &self.stages, (&is_asked, None), console);
+        let fit = searched(&self.calibration, options, &self.stages, (&is_requested, None), console);
         if let Some(error) = state.error.take() {
             return Err(Error::of_input(error));
         }
@@ -109,8 +109,8 @@ fn init(arguments: &JobsInit, console: &Console) -> Result<Exit, Error> {
     given.insert("workers".to_owned(), Value::Count(arguments.jobs));
     file.set("fit", given.clone());
     let interrupt = Interrupt::watch()?;
-    let is_asked = || interrupt.is_asked();
-    let calibration = file.calibration(&RunContext::new().asking(&is_asked))?;
+    let is_requested = || interrupt.is_requested();
+    let calibration = file.calibration(&RunContext::new().polling(&is_requested))?;
     calibration.columns_without_unit().iter().for_each(|reported| console.note(reported));
     if options(&file, &calibration)?.0.run.seed.is_none() {
         given.insert("rng".to_owned(), Value::Count(dfo::draw_seed()));
@@ -140,8 +140,8 @@ fn init(arguments: &JobsInit, console: &Console) -> Result<Exit, Error> {
 
 fn work(arguments: &JobsRun, console: &Console) -> Result<Exit, Error> {
     let interrupt = Interrupt::watch()?;
-    let is_asked = || interrupt.is_asked();
-    let fit = JobFit::open(&arguments.at, &RunContext::new().asking(&is_asked))?;
+    let is_requested = || interrupt.is_requested();
+    let fit = JobFit::open(&arguments.at, &RunContext::new().polling(&is_requested))?;
     // Opened separately, so that the driver and the evaluation do not affect each other.
     let fmu = fit.file.model()?;
     let (is_over, has_failed) = (AtomicBool::new(false), AtomicBool::new(false));
@@ -154,7 +154,7 @@ fn work(arguments: &JobsRun, console: &Console) -> Result<Exit, Error> {
         };
         let thread = std::thread::Builder::new().stack_size(STACK_SIZE).spawn_scoped(scope, evaluate);
         let thread = thread.map_err(|error| Error::work(format!("cannot start a thread: {error}")))?;
-        let is_ending = || interrupt.is_asked() || has_failed.load(Ordering::Relaxed);
+        let is_ending = || interrupt.is_requested() || has_failed.load(Ordering::Relaxed);
         let driven = drive_when_free(&fit, &is_ending, console);
         is_over.store(true, Ordering::Relaxed);
         let evaluated = thread.join().map_err(|_| Error::work("the evaluating thread has panicked"))?;
@@ -208,17 +208,17 @@ struct NextDocument<'d> {
 
 fn next(arguments: &JobsNext, console: &Console) -> Result<Exit, Error> {
     let interrupt = Interrupt::watch()?;
-    let is_asked = || interrupt.is_asked();
-    let fit = JobFit::open(&arguments.at, &RunContext::new().asking(&is_asked))?;
+    let is_requested = || interrupt.is_requested();
+    let fit = JobFit::open(&arguments.at, &RunContext::new().polling(&is_requested))?;
     let take = || fit.folder.take(Duration::from_secs(arguments.lease)).map_err(Error::of_input);
     let mut taken = take()?;
     if taken.is_none() && !fit.folder.is_done() {
         if let Some(_claim) = fit.folder.claim_drive().map_err(Error::of_input)? {
-            fit.drive(true, &is_asked, console)?;
+            fit.drive(true, &is_requested, console)?;
         }
         taken = take()?;
     }
-    if interrupt.is_asked() {
+    if interrupt.is_requested() {
         taken.iter().try_for_each(|point| fit.folder.give_back(point)).map_err(Error::of_input)?;
         return Ok(Exit::Interrupted);
     }

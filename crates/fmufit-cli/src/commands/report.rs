@@ -26,8 +26,8 @@ pub(crate) fn run(arguments: &Report, console: &Console) -> Result<Exit, Error> 
     let calibration = calibration.map_err(Error::of_input)?;
     let interrupt = Interrupt::watch()?;
     let line = console.live_line();
-    let shown = || line.show_until(interrupt.is_asked(), "simulating");
-    let (experiment, context) = (arguments.experiment.as_deref(), RunContext::new().asking(&shown));
+    let shown = || line.show_until(interrupt.is_requested(), "simulating");
+    let (experiment, context) = (arguments.experiment.as_deref(), RunContext::new().polling(&shown));
     let written = write(&saved.fit, &calibration, &arguments.output, experiment, &context);
     drop(line);
     written?;

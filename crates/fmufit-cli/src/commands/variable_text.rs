@@ -40,8 +40,10 @@ fn scalar(description: &ModelDescription, variable: &Variable, text: &str) -> Op
         VariableKind::Binary => None,
         kind if kind.is_integer() => {
             let types = variable.declared_type.as_ref();
-            let own = description.type_definitions.iter().find(|known| Some(&known.name) == types);
-            let item = own.and_then(|own| own.items.iter().find(|item| item.name == text));
+            let definition =
+                description.type_definitions.iter().find(|definition| Some(&definition.name) == types);
+            let item =
+                definition.and_then(|definition| definition.items.iter().find(|item| item.name == text));
             let value = item.map(|item| i128::from(item.value)).or_else(|| text.parse().ok());
             value.map(Value::Integer).or_else(number)
         }

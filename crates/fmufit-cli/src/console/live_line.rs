@@ -31,7 +31,7 @@ impl LiveLine {
             if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}") {
                 bar.set_style(style);
             }
-            messages::stand_above(Some(bar.clone()));
+            messages::print_above(Some(bar.clone()));
             line.bar = Some(bar);
         } else if is_shown {
             line.printed = Some((RefCell::default(), Cell::new(Instant::now())));
@@ -40,12 +40,12 @@ impl LiveLine {
     }
 
     /// Shows the current work, unless its end was requested. Returns true if it was requested.
-    pub(crate) fn show_until(&self, is_asked: bool, heading: &str) -> bool {
-        match is_asked {
+    pub(crate) fn show_until(&self, is_requested: bool, heading: &str) -> bool {
+        match is_requested {
             true => self.end(),
             false => self.show(heading, String::new),
         }
-        is_asked
+        is_requested
     }
 
     /// Announces that the work is about to end, and removes the line.
@@ -54,7 +54,7 @@ impl LiveLine {
             return;
         }
         if let Some(bar) = &self.bar {
-            messages::stand_above(None);
+            messages::print_above(None);
             bar.finish_and_clear();
         }
         if self.bar.is_some() || self.printed.is_some() {
@@ -88,7 +88,7 @@ impl LiveLine {
 impl Drop for LiveLine {
     fn drop(&mut self) {
         if let Some(bar) = self.bar.as_ref().filter(|_| !self.is_ending.get()) {
-            messages::stand_above(None);
+            messages::print_above(None);
             bar.finish_and_clear();
         }
     }

@@ -17,7 +17,7 @@ fn live() -> MutexGuard<'static, Option<ProgressBar>> {
 }
 
 /// Sets the live line above which messages appear.
-pub(super) fn stand_above(bar: Option<ProgressBar>) {
+pub(super) fn print_above(bar: Option<ProgressBar>) {
     *live() = bar;
 }
 

@@ -47,9 +47,9 @@ impl Reader<'_> {
     fn record(&mut self, table: &DeTable<'_>, path: &str) -> Result<Record, (usize, String)> {
         let field = |(key, value): (&Spanned<_>, &Spanned<DeValue<'_>>)| {
             let name = AsRef::<str>::as_ref(key.get_ref()).to_owned();
-            let own = field(path, &name);
-            self.lines.add(own.clone(), (self.line_at)(key.span().start));
-            Ok((name, self.value(value, &own)?))
+            let path_of_item = field(path, &name);
+            self.lines.add(path_of_item.clone(), (self.line_at)(key.span().start));
+            Ok((name, self.value(value, &path_of_item)?))
         };
         table.iter().map(field).collect()
     }
@@ -74,9 +74,9 @@ impl Reader<'_> {
             DeValue::Array(items) => {
                 let mut values = Vec::with_capacity(items.len());
                 for (k, value) in items.iter().enumerate() {
-                    let own = item(path, k);
-                    self.lines.add(own.clone(), (self.line_at)(value.span().start));
-                    values.push(self.value(value, &own)?);
+                    let path_of_item = item(path, k);
+                    self.lines.add(path_of_item.clone(), (self.line_at)(value.span().start));
+                    values.push(self.value(value, &path_of_item)?);
                 }
                 Value::List(values)
             }

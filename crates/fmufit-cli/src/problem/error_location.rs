@@ -53,12 +53,13 @@ type Holds<'f> = dyn Fn(&str) -> bool + 'f;
 fn find(value: &Value, path: &str, of_field: &Holds<'_>, of_text: &Holds<'_>) -> Option<String> {
     match value {
         Value::Text(text) => of_text(text).then(|| path.to_owned()),
-        Value::List(items) => {
-            items.iter().enumerate().find_map(|(k, own)| find(own, &item(path, k), of_field, of_text))
-        }
+        Value::List(items) => items
+            .iter()
+            .enumerate()
+            .find_map(|(k, item_value)| find(item_value, &item(path, k), of_field, of_text)),
         Value::Record(fields) => fields.iter().find_map(|(name, value)| {
-            let own = field(path, name);
-            find(value, &own, of_field, of_text).or_else(|| of_field(name).then_some(own))
+            let path_of_field = field(path, name);
+            find(value, &path_of_field, of_field, of_text).or_else(|| of_field(name).then_some(path_of_field))
         }),
         _ => None,
     }

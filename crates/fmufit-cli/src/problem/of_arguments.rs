@@ -38,7 +38,7 @@ pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<Pro
     // Systems of models are rejected, with an alternative, when they are opened.
     let is_model = problem.is_dir()
         || problem.extension().is_some_and(|suffix| {
-            ["fmu", "ssp", "ssd"].iter().any(|known| suffix.eq_ignore_ascii_case(known))
+            ["fmu", "ssp", "ssd"].iter().any(|extension| suffix.eq_ignore_ascii_case(extension))
         });
     let settings = short_form::options(setting)?.into_iter().map(|(name, value)| match (&name[..], value) {
         // Without this, "none" would mean the default instead of no isolation.

@@ -110,8 +110,9 @@ impl ProblemFile {
 
     fn checked(self) -> Result<Self, Error> {
         let fields = self.fields("")?;
-        let known: Vec<String> = field_names::<ProblemRecord>().map_err(Error::input)?.into_iter().collect();
-        let Some(name) = fields.keys().find(|name| !known.contains(name)) else { return Ok(self) };
+        let available: Vec<String> =
+            field_names::<ProblemRecord>().map_err(Error::input)?.into_iter().collect();
+        let Some(name) = fields.keys().find(|name| !available.contains(name)) else { return Ok(self) };
         let of_settings = field_names::<SimulationSettings>().map_err(Error::input)?;
         let of_fit = FitOptions::option_names().map_err(Error::input)?;
         let is_of_experiment = OF_EXPERIMENTS.contains(&name.as_str());
@@ -125,18 +126,18 @@ impl ProblemFile {
             Some((table, _)) => {
                 self.error(name, format!("'{name}' belongs to the table {table}; move it below that line"))
             }
-            None => self.error(name, RecordError::unknown("problem field", name, &known)),
+            None => self.error(name, RecordError::unknown("problem field", name, &available)),
         })
     }
 
     /// Sets options of a table and replaces options of the file.
     pub(crate) fn set(&mut self, table: &str, options: impl IntoIterator<Item = (String, Value)>) {
         let Value::Record(record) = &mut self.record else { return };
-        let own = record.entry(table.to_owned()).or_insert_with(|| Value::Record(Record::new()));
-        if let Value::Record(fields) = own {
+        let options_of_table = record.entry(table.to_owned()).or_insert_with(|| Value::Record(Record::new()));
+        if let Value::Record(fields) = options_of_table {
             for (name, value) in options {
                 // `rng` and `seed` are the same option, and the command line takes precedence.
-                let other = [("rng", "seed"), ("seed", "rng")].iter().find(|(own, _)| *own == name);
+                let other = [("rng", "seed"), ("seed", "rng")].iter().find(|(alias, _)| *alias == name);
                 other.iter().for_each(|(_, other)| drop(fields.remove(*other)));
                 self.set.push(field(table, &name));
                 fields.insert(name, value);
@@ -233,12 +234,12 @@ impl ProblemFile {
         &self,
         path: &str,
         fields: &Record,
-        known: impl IntoIterator<Item = String>,
+        available: impl IntoIterator<Item = String>,
     ) -> Result<(), Error> {
-        let known: Vec<String> = known.into_iter().collect();
-        match fields.keys().find(|name| !known.contains(name)) {
+        let available: Vec<String> = available.into_iter().collect();
+        match fields.keys().find(|name| !available.contains(name)) {
             Some(name) => {
-                Err(self.error(&field(path, name), RecordError::unknown("fit option", name, &known)))
+                Err(self.error(&field(path, name), RecordError::unknown("fit option", name, &available)))
             }
             None => Ok(()),
         }

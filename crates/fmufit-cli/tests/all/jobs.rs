@@ -176,8 +176,9 @@ fn another_program_can_evaluate_the_points() {
         n += 1;
         assert!(n < 100);
     }
-    let [found, own] = [&result(&folder), &alone].map(|fit| fit["parameters"][0]["value"].as_f64().unwrap());
-    assert!(n > 3 && (found - own).abs() < 1e-4, "{n} {found} {own}");
+    let [found, expected] =
+        [&result(&folder), &alone].map(|fit| fit["parameters"][0]["value"].as_f64().unwrap());
+    assert!(n > 3 && (found - expected).abs() < 1e-4, "{n} {found} {expected}");
     assert!(folder.run("jobs tell problem.toml ../x --failed no").wrong_input().contains("is not claimed"));
 }
 

@@ -60,11 +60,11 @@ impl Schema {
                 "maxItems" => document.as_array().is_none_or(|l| l.len() as u64 <= rule.as_u64().unwrap()),
                 "items" => {
                     for (k, item) in document.as_array().into_iter().flatten().enumerate() {
-                        let own = match rule {
+                        let schema_of_item = match rule {
                             Value::Array(parts) => parts.get(k).unwrap_or(&Value::Bool(true)),
                             all => all,
                         };
-                        self.check(own, item, &format!("{place}/{k}"), errors);
+                        self.check(schema_of_item, item, &format!("{place}/{k}"), errors);
                     }
                     true
                 }
@@ -95,10 +95,10 @@ impl Schema {
         errors: &mut Vec<String>,
     ) {
         for (name, value) in document.as_object().into_iter().flatten() {
-            let own = schema.get("properties").and_then(|properties| properties.get(name));
+            let schema_of_field = schema.get("properties").and_then(|properties| properties.get(name));
             let rule = match keyword {
-                "properties" => own,
-                _ if own.is_some() => None,
+                "properties" => schema_of_field,
+                _ if schema_of_field.is_some() => None,
                 _ => schema.get(keyword),
             };
             if let Some(rule) = rule {

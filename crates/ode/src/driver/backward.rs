@@ -20,8 +20,8 @@ impl Observer for BackwardObserver<'_> {
     fn sample(&mut self, sample: &Sample<'_>) -> ControlFlow<()> {
         self.0.sample(&Sample { time: turned(sample.time), ..*sample })
     }
-    fn wants_steps(&self) -> bool {
-        self.0.wants_steps()
+    fn needs_steps(&self) -> bool {
+        self.0.needs_steps()
     }
     fn step(&mut self, step: &StepView<'_>) {
         let inside = |t: f64, x: &mut [f64]| step.states_at(turned(t), x);

@@ -51,7 +51,7 @@ impl Run<'_> {
                 self.space.domains.slide_marked();
                 self.sliding.begin();
             }
-            ChatteringPolicy::Warn if within > self.sliding.stands_still => {}
+            ChatteringPolicy::Warn if within > self.sliding.standstill => {}
             _ => {
                 let indicator = crossed.unwrap_or_default();
                 return Err(ErrorKind::Chattering { events, within, indicator }.into());
@@ -107,9 +107,13 @@ impl Run<'_> {
     /// Determines the right-hand side on the left side of an event without a crossing. It decides whether the
     /// method must restart. The right-hand side is evaluated if it is not known. The slopes of interpolants
     /// are too inaccurate for this decision, and can have any error near stiff components.
-    pub(super) fn take_slope(&mut self, known: bool) -> Step<()> {
+    pub(super) fn take_slope(&mut self, is_evaluated: bool) -> Step<()> {
         let Space { x, slope, weights, .. } = &mut *self.space;
-        if known || x.is_empty() || self.fixed_step.is_some() || self.stepper.properties().only_own_slopes {
+        if is_evaluated
+            || x.is_empty()
+            || self.fixed_step.is_some()
+            || self.stepper.properties().slopes_from_stepper_only
+        {
             slope.copy_from_slice(self.stepper.derivative());
             return Ok(());
         }
@@ -147,7 +151,7 @@ impl Run<'_> {
         if !is_unchanged {
             self.stats.restarts += 1;
             self.stepper.forget();
-            if self.sliding.step().is_none() || self.stepper.properties().wants_second_derivative {
+            if self.sliding.step().is_none() || self.stepper.properties().needs_second_derivative {
                 self.estimate_step()?;
                 self.h = self.h.min(before);
             }
@@ -164,7 +168,7 @@ impl Run<'_> {
         }
         let Space { x, x_mid, slope, weights, .. } = &mut *self.space;
         let before = before - self.time_tolerance;
-        if before <= self.t || self.stepper.properties().only_own_slopes {
+        if before <= self.t || self.stepper.properties().slopes_from_stepper_only {
             slope.copy_from_slice(self.stepper.derivative());
             return Ok(());
         }
@@ -178,7 +182,8 @@ impl Run<'_> {
     /// right-hand side is then used.
     fn goes_on_as_here(&mut self, h: f64) -> Step<bool> {
         let (behind, beyond) = (self.t + self.time_tolerance, self.t + 2.0 * self.time_tolerance);
-        if self.space.x.is_empty() || beyond > self.end || self.stepper.properties().only_own_slopes {
+        if self.space.x.is_empty() || beyond > self.end || self.stepper.properties().slopes_from_stepper_only
+        {
             return Ok(true);
         }
         let Space { x, x_mid, x_new, slope, weights, .. } = &mut *self.space;
@@ -271,7 +276,7 @@ impl Run<'_> {
             self.h = 1e-6 * span;
             return Ok(());
         }
-        if self.stepper.properties().only_own_slopes {
+        if self.stepper.properties().slopes_from_stepper_only {
             // As in DASSL: the step that changes the states by half their tolerances.
             let most = 0.5 / space.weights.norm(&space.x, dx);
             self.h = most.min(1e-3 * capacity);

@@ -27,17 +27,17 @@ impl Run<'_> {
             Ok(Return::Nothing) => None,
             Ok(Return::Found(at)) => Some(at),
             Ok(Return::Unseen { indicator, shorter }) => return self.unseen(indicator, shorter, h),
-            Err(error) => return self.cannot_stand(h, error),
+            Err(error) => return self.discard_or_fail(h, error),
         };
         let bracket = match self.bracket(behind, end, h, &mut ready) {
             Ok(bracket) => bracket,
-            Err(error) => return self.cannot_stand(h, error),
+            Err(error) => return self.discard_or_fail(h, error),
         };
         let sampled = self.space.sampler.due_before(self.times, end - self.time_tolerance).is_some();
-        if (bracket.is_some() || sampled || self.observer.wants_steps())
+        if (bracket.is_some() || sampled || self.observer.needs_steps())
             && let Err(error) = self.make_ready(end, h, &mut ready)
         {
-            return self.cannot_stand(h, error);
+            return self.discard_or_fail(h, error);
         }
         let Some(at) = bracket else { return Ok(Inside::Nothing) };
         let inside = self.locate(at, end, h)?;
@@ -45,7 +45,7 @@ impl Run<'_> {
         match self.contradiction(at) {
             Ok(None) => Ok(inside),
             Ok(Some(indicator)) => self.unseen(indicator, None, h),
-            Err(error) => self.cannot_stand(h, error),
+            Err(error) => self.discard_or_fail(h, error),
         }
     }
 
@@ -124,7 +124,7 @@ impl Run<'_> {
         domains.changed_at(at, |t, z| read_indicators(self.system, t, x_mid, z))
     }
 
-    fn cannot_stand(&mut self, h: f64, error: CallError) -> Step<Inside> {
+    fn discard_or_fail(&mut self, h: f64, error: CallError) -> Step<Inside> {
         match error {
             CallError::Discard => Ok(Inside::Again { h: self.stepper.refused(h), why: Shrink::Refused }),
             CallError::Failed(error) => Err(error.into()),
@@ -147,7 +147,7 @@ impl Run<'_> {
         });
         let located = match found {
             Ok(located) => located,
-            Err(error) => return self.cannot_stand(h, error),
+            Err(error) => return self.discard_or_fail(h, error),
         };
         self.stats.event_indicators += located.evaluations;
         // An event this close to the end of the step is merged with the events there.
@@ -181,7 +181,7 @@ impl Run<'_> {
             Tried::Again { h, why } => return Ok(Inside::Again { h, why }),
         }
         if let Err(error) = self.make_ready(before, h, &mut false) {
-            return self.cannot_stand(h, error);
+            return self.discard_or_fail(h, error);
         }
         if self.space.domains.changed() {
             // The better solution has the event earlier. The difference decreases with each repetition.
@@ -191,7 +191,7 @@ impl Run<'_> {
         self.stepper.interpolate(Trial { t: self.t, end: before, h, x }, (time - self.t) / h, x_mid);
         self.stats.event_indicators += 1;
         if let Err(error) = read_indicators(self.system, time, x_mid, &mut domains.end) {
-            return self.cannot_stand(h, error);
+            return self.discard_or_fail(h, error);
         }
         if domains.changed() {
             std::mem::swap(x_new, x_mid);
@@ -200,7 +200,7 @@ impl Run<'_> {
         self.stats.event_indicators += 1;
         match read_indicators(self.system, before, x_new, &mut domains.end) {
             Ok(()) => Ok(Inside::Crossing(Found { at: before, end: before, h, before: None })),
-            Err(error) => self.cannot_stand(h, error),
+            Err(error) => self.discard_or_fail(h, error),
         }
     }
 
@@ -235,7 +235,7 @@ impl Run<'_> {
             };
             let (before, root) = match root {
                 Ok(root) => root,
-                Err(error) => return self.cannot_stand(h, error),
+                Err(error) => return self.discard_or_fail(h, error),
             };
             if crossed && guess - root <= enough {
                 // The search overwrote the indicators with those of its last point.
@@ -243,7 +243,7 @@ impl Run<'_> {
                 self.stats.event_indicators += 1;
                 return match read_indicators(self.system, guess, x_new, &mut domains.end) {
                     Ok(()) => Ok(Inside::Crossing(found(before))),
-                    Err(error) => self.cannot_stand(h, error),
+                    Err(error) => self.discard_or_fail(h, error),
                 };
             }
             // Just after the root, by more than the root is likely to move.

@@ -22,7 +22,7 @@ impl Run<'_> {
                 .found(Evaluated::State, &space.x)
                 .or_else(|| self.found(Evaluated::Derivative, self.stepper.derivative()))
                 .or_else(|| self.found(Evaluated::EventIndicator, &space.domains.base));
-            if self.not_finite.is_none() && self.stepper.properties().only_own_slopes {
+            if self.not_finite.is_none() && self.stepper.properties().slopes_from_stepper_only {
                 let Space { x, x_new, .. } = &mut *self.space;
                 let _ = self.system.derivatives(self.t, x, x_new);
                 self.not_finite = self.found(Evaluated::Derivative, &self.space.x_new);

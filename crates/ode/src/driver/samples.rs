@@ -76,7 +76,7 @@ impl Run<'_> {
 
     /// Passes the step of size `h` that ends at `end`, up to `at`, to an observer that requests steps.
     pub(super) fn show_step(&mut self, at: f64, end: f64, h: f64) {
-        if self.observer.wants_steps() {
+        if self.observer.needs_steps() {
             let (stepper, began) = (&*self.stepper, self.t);
             let trial = Trial { t: began, end, h, x: &self.space.x };
             let inside = |t: f64, x: &mut [f64]| {

@@ -13,7 +13,7 @@ pub(super) struct Sliding {
     pub(super) bounces: f64,
     pub(super) ticks: f64,
     /// A hundred events in less than this time do not advance time.
-    pub(super) stands_still: f64,
+    pub(super) standstill: f64,
     /// Length of a step while sliding.
     usual: f64,
     /// The step to try now, while sliding.
@@ -30,7 +30,7 @@ impl Sliding {
             chatters: least(ChatteringGuard::STATE_EVENTS),
             bounces: least(ChatteringGuard::BOUNCES),
             ticks,
-            stands_still: ticks.max(ChatteringGuard::still(time_tolerance)),
+            standstill: ticks.max(ChatteringGuard::still(time_tolerance)),
             usual: ChatteringPolicy::SLIDING_STEP * span,
             step: None,
         }

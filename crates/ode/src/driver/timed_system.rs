@@ -150,7 +150,11 @@ impl HybridSystem for TimedSystem<'_> {
     }
     fn residual(&mut self, t: f64, x: &[f64], dx: &[f64], r: &mut [f64]) -> CallResult<()> {
         let t = self.at(t);
-        watched!(self, Derivatives, self.system.residual(t, x, own_slopes(&mut self.slopes, dx), r))
+        watched!(
+            self,
+            Derivatives,
+            self.system.residual(t, x, slopes_in_system_time(&mut self.slopes, dx), r)
+        )
     }
     fn residual_jacobian(
         &mut self,
@@ -161,15 +165,15 @@ impl HybridSystem for TimedSystem<'_> {
         j: &mut [f64],
     ) -> CallResult<bool> {
         let t = self.at(t);
-        let known = watched!(
+        let is_available = watched!(
             self,
             Jacobian,
-            self.system.residual_jacobian(t, x, own_slopes(&mut self.slopes, dx), argument, j)
+            self.system.residual_jacobian(t, x, slopes_in_system_time(&mut self.slopes, dx), argument, j)
         )?;
         if argument == Argument::Slopes {
             self.turn(j);
         }
-        Ok(known)
+        Ok(is_available)
     }
     fn states_corrected(&mut self, t: f64, x: &[f64]) -> CallResult<()> {
         self.system.states_corrected(self.at(t), x)
@@ -233,7 +237,7 @@ impl HybridSystem for TimedSystem<'_> {
 }
 
 /// Converts slopes of the run to slopes with respect to the time of the system.
-fn own_slopes<'s>(turned: &'s mut Option<&mut Vec<f64>>, dx: &'s [f64]) -> &'s [f64] {
+fn slopes_in_system_time<'s>(turned: &'s mut Option<&mut Vec<f64>>, dx: &'s [f64]) -> &'s [f64] {
     match turned {
         None => dx,
         Some(slopes) => {

@@ -53,7 +53,7 @@ impl Domains {
     /// Returns time and value of indicator `i` at the known point `k` of the step from `start` to `end`.
     /// Point 0 is the start, the points evaluated inside follow, and the last one is the end.
     #[inline]
-    fn known(&self, i: usize, k: usize, start: f64, end: f64) -> (f64, f64) {
+    fn evaluated_point(&self, i: usize, k: usize, start: f64, end: f64) -> (f64, f64) {
         match k.checked_sub(1) {
             None => (start, self.base[i]),
             Some(inside) if inside < self.looked_at.len() => {
@@ -93,13 +93,13 @@ impl Domains {
     /// indicator `i`. `None` if no turning point is in the other domain or near it. A crossing and its return
     /// may be hidden there.
     pub(crate) fn turning_point(&self, i: usize, start: f64, end: f64) -> Option<f64> {
-        let known = |k| self.known(i, k, start, end);
+        let evaluated_point = |k| self.evaluated_point(i, k, start, end);
         let (mut a, mut b, next) = match self.before_time {
-            Some(t) => ((t, self.before[i]), known(0), 1),
-            None => (known(0), known(1), 2),
+            Some(t) => ((t, self.before[i]), evaluated_point(0), 1),
+            None => (evaluated_point(0), evaluated_point(1), 2),
         };
         (next..self.looked_at.len() + 2).find_map(|k| {
-            let c = known(k);
+            let c = evaluated_point(k);
             let found = turning_point([a, b, c], start);
             (a, b) = (b, c);
             found
@@ -114,10 +114,10 @@ impl Domains {
         if self.slides(i) {
             return None;
         }
-        let known = |k| self.known(i, k, start, end);
-        let (mut a, mut b) = (known(0), known(1));
+        let evaluated_point = |k| self.evaluated_point(i, k, start, end);
+        let (mut a, mut b) = (evaluated_point(0), evaluated_point(1));
         (2..self.looked_at.len() + 2).find_map(|k| {
-            let c = known(k);
+            let c = evaluated_point(k);
             let [(t0, z0), (t1, z1), (t2, z2)] = [a, b, c];
             (a, b) = (b, c);
             if flipped(z0, z1) || flipped(z1, z2) {

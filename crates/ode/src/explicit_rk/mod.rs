@@ -112,12 +112,12 @@ impl<const S: usize, T: Explicit<S>> ExplicitRk<S, T> {
 
 impl<const S: usize, T: Explicit<S>> Stepper for ExplicitRk<S, T> {
     fn properties(&self) -> Properties {
-        let own_stages = self.has_stages_behind_end();
+        let has_extra_stages = self.has_stages_behind_end();
         Properties {
             order: T::TABLEAU.order,
             has_error_estimate: !matches!(T::TABLEAU.error, Estimate::None),
-            interior_samples: if own_stages { 3 } else { 1 },
-            step_with_event: if own_stages {
+            interior_samples: if has_extra_stages { 3 } else { 1 },
+            step_with_event: if has_extra_stages {
                 StepWithEvent::RepeatedToBefore
             } else {
                 StepWithEvent::Interpolated
@@ -128,9 +128,9 @@ impl<const S: usize, T: Explicit<S>> Stepper for ExplicitRk<S, T> {
 
     fn begin(&mut self, system: &dyn HybridSystem) -> CallResult<()> {
         let n = system.n_states();
-        let own_stages = self.has_stages_behind_end();
+        let has_extra_stages = self.has_stages_behind_end();
         self.k.begin(n);
-        self.dense.begin(if own_stages { n } else { 0 });
+        self.dense.begin(if has_extra_stages { n } else { 0 });
         for v in [&mut self.stage, &mut self.error] {
             v.clear();
             v.resize(n, 0.0);

@@ -203,20 +203,20 @@ impl Algebraic {
     }
 
     /// Ensures that the algebraic equations hold at a point where the slopes are the right-hand side. Changes
-    /// state and slopes if the equations do not hold. `known`: a Jacobian exists, possibly from another
-    /// point. If there was none, it is evaluated at this point.
+    /// state and slopes if the equations do not hold. `has_jacobian`: a Jacobian exists, possibly from
+    /// another point. If there was none, it is evaluated at this point.
     pub(super) fn make_consistent(
         &mut self,
         equations: &mut Equations<'_>,
         PointMut { t, x, slopes: f }: PointMut<'_>,
         jacobian: &mut Jacobian,
-        known: bool,
+        has_jacobian: bool,
     ) -> CallResult<Consistency> {
         if self.measure(f) {
             return Ok(Consistency::Holds);
         }
         equations.weights.inverse_at(x, 1.0, &mut self.inverse);
-        if known {
+        if has_jacobian {
             if self.decompose(jacobian) && self.solve() <= CONSISTENT {
                 return Ok(Consistency::Holds);
             }

@@ -45,7 +45,7 @@ pub(crate) struct KeptJacobian {
     rules: Rules,
     jacobian: Jacobian,
     has_jacobian: bool,
-    wants_jacobian: bool,
+    needs_jacobian: bool,
     /// Steps since the Jacobian was evaluated; 0 if it was evaluated at the current point.
     age: u32,
     /// True if the Jacobian is from before an event.
@@ -61,7 +61,7 @@ impl KeptJacobian {
             rules,
             jacobian: Jacobian::default(),
             has_jacobian: false,
-            wants_jacobian: false,
+            needs_jacobian: false,
             age: 0,
             is_before_event: false,
             coefficient: 0.0,
@@ -75,7 +75,7 @@ impl KeptJacobian {
     /// Returns an error if memory is insufficient for a dense matrix of this size.
     pub(super) fn begin(&mut self, system: &dyn HybridSystem) -> CallResult<()> {
         self.drop_jacobian();
-        self.wants_jacobian = false;
+        self.needs_jacobian = false;
         self.jacobian.begin(system)
     }
 
@@ -109,7 +109,7 @@ impl KeptJacobian {
     pub(super) fn take_new(&mut self, is_here: bool) {
         self.has_jacobian = is_here;
         self.age = u32::from(!is_here);
-        self.wants_jacobian = false;
+        self.needs_jacobian = false;
         self.coefficient = 0.0;
     }
 
@@ -124,7 +124,7 @@ impl KeptJacobian {
     pub(super) fn event(&mut self) {
         self.coefficient = 0.0;
         self.is_before_event = true;
-        self.wants_jacobian = false;
+        self.needs_jacobian = false;
     }
 
     /// Reports that the current point has changed.
@@ -145,7 +145,7 @@ impl KeptJacobian {
             let is_old = self.change(coefficient) > self.rules.change
                 || self.decomposition_age >= self.rules.decomposition_steps;
             let is_overdue = is_old && self.age > self.rules.jacobian_steps;
-            if !self.has_jacobian || self.wants_jacobian || is_overdue {
+            if !self.has_jacobian || self.needs_jacobian || is_overdue {
                 self.jacobian.evaluate(equations, point)?;
                 self.take_new(true);
                 self.is_before_event = false;
@@ -161,7 +161,7 @@ impl KeptJacobian {
             if self.age == 0 {
                 return Ok(Matrix::Singular);
             }
-            self.wants_jacobian = true;
+            self.needs_jacobian = true;
         }
     }
 
@@ -175,25 +175,25 @@ impl KeptJacobian {
         if self.age == 0 && self.coefficient == coefficient {
             return false;
         }
-        self.wants_jacobian = self.change(coefficient) < SAME_MATRIX;
+        self.needs_jacobian = self.change(coefficient) < SAME_MATRIX;
         self.coefficient = 0.0;
         true
     }
 
     /// Reacts to a rejected step.
     pub(super) fn rejected(&mut self) {
-        self.wants_jacobian = self.wants_jacobian || (self.age > 0 && self.is_cheap());
+        self.needs_jacobian = self.needs_jacobian || (self.age > 0 && self.is_cheap());
         self.coefficient = 0.0;
     }
 
     /// Requests a Jacobian because the step failed without one at its end.
-    pub(super) fn want_jacobian(&mut self) {
-        self.wants_jacobian = true;
+    pub(super) fn request_jacobian(&mut self) {
+        self.needs_jacobian = true;
     }
 
     /// True if a new Jacobian is needed for the next step.
-    pub(super) fn wants_jacobian(&self) -> bool {
-        self.wants_jacobian
+    pub(super) fn needs_jacobian(&self) -> bool {
+        self.needs_jacobian
     }
 
     fn is_cheap(&self) -> bool {
@@ -205,6 +205,6 @@ impl KeptJacobian {
         self.age += 1;
         self.decomposition_age += 1;
         let is_slow = rate > INITIAL_RATE && (iterations > ITERATIONS || self.is_cheap());
-        self.wants_jacobian = is_slow && (self.is_before_event || !self.rules.only_after_events);
+        self.needs_jacobian = is_slow && (self.is_before_event || !self.rules.only_after_events);
     }
 }

@@ -8,7 +8,7 @@ use crate::system::{CallError, CallResult};
 const MOST_DENSE_ROWS: usize = 16384;
 
 /// Resizes a list to the entries of a dense matrix of `n` rows. Returns an error if memory is insufficient.
-pub(crate) fn make_room<T: Clone>(list: &mut Vec<T>, n: usize, zero: T) -> CallResult<()> {
+pub(crate) fn resize_matrix<T: Clone>(list: &mut Vec<T>, n: usize, zero: T) -> CallResult<()> {
     let entries = n.saturating_mul(n);
     list.clear();
     if n > MOST_DENSE_ROWS || list.try_reserve_exact(entries).is_err() {
@@ -38,7 +38,7 @@ impl<T: Scalar> DenseLu<T> {
     /// Returns an error if memory is insufficient.
     pub(super) fn resize(&mut self, n: usize) -> CallResult<()> {
         if self.pivots.len() != n {
-            make_room(&mut self.a, n, T::zero())?;
+            resize_matrix(&mut self.a, n, T::zero())?;
             self.pivots = vec![0; n];
         }
         Ok(())

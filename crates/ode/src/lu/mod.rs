@@ -13,7 +13,7 @@ mod scalar;
 #[cfg_attr(not(feature = "sparse"), path = "dense_only.rs")]
 mod sparse;
 
-pub(crate) use dense::make_room;
+pub(crate) use dense::resize_matrix;
 
 /// Matrices are sparse if they have at least this number of rows and at most this share of entries that may
 /// be nonzero. Measured: a chain of 100 states (4 % of the entries) is decomposed in half the time of a dense

@@ -279,7 +279,7 @@ impl Observer for Kept {
         self.rows.push(sample.time, sample.states);
         ControlFlow::Continue(())
     }
-    fn wants_steps(&self) -> bool {
+    fn needs_steps(&self) -> bool {
         self.dense.is_some()
     }
     fn step(&mut self, step: &StepView<'_>) {

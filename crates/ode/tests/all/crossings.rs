@@ -199,10 +199,10 @@ fn steps_longer_than_indicator_period_locate_only_true_crossings() {
                     let what = format!("{method:?} {rtol:e}, sin({w} t) + {offset}");
                     let found =
                         dips(method, rtol, (w, offset)).unwrap_or_else(|error| panic!("{what}: {error}"));
-                    let known: Vec<f64> = crossings((w, offset)).take_while(|t| *t < 41.0).collect();
+                    let exact: Vec<f64> = crossings((w, offset)).take_while(|t| *t < 41.0).collect();
                     for t in found {
                         let nearest =
-                            known.iter().map(|known| (known - t).abs()).fold(f64::INFINITY, f64::min);
+                            exact.iter().map(|exact| (exact - t).abs()).fold(f64::INFINITY, f64::min);
                         assert!(nearest < 1e-3 * rtol + 1e-9, "{what}: {t}");
                     }
                 }

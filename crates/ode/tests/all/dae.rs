@@ -371,10 +371,10 @@ fn user_jacobians_give_the_same_solution() {
             j.copy_from_slice(&[0.04, -0.04, 1.0, -b * y[2], b * y[2] + c, 1.0, -b * y[1], b * y[1], 1.0]);
         }
     };
-    let own = requested(&ROBERTSON, 1e-6).residual_jacobian(jacobian).run().unwrap();
+    let with_jacobian = requested(&ROBERTSON, 1e-6).residual_jacobian(jacobian).run().unwrap();
     let differences = solved(&ROBERTSON, 1e-6);
-    assert!(ROBERTSON.digits(own.last()) > 4.9);
-    assert!(own.report.stats.right_hand_sides + 10 < differences.1.right_hand_sides);
+    assert!(ROBERTSON.digits(with_jacobian.last()) > 4.9);
+    assert!(with_jacobian.report.stats.right_hand_sides + 10 < differences.1.right_hand_sides);
 }
 
 /// A chain of masses on springs with sparse Jacobians, and its forces as algebraic states.

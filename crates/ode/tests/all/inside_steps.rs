@@ -28,7 +28,7 @@ impl Observer for Points {
     fn sample(&mut self, _: &Sample<'_>) -> std::ops::ControlFlow<()> {
         std::ops::ControlFlow::Continue(())
     }
-    fn wants_steps(&self) -> bool {
+    fn needs_steps(&self) -> bool {
         true
     }
     fn step(&mut self, step: &StepView<'_>) {

@@ -181,11 +181,11 @@ fn rejects_unsupported_mass_matrices() {
 /// States that are determined by the equations without derivatives may be given as guesses.
 #[test]
 fn algebraic_guess_is_corrected_at_start() {
-    struct Told<F> {
+    struct WithCorrections<F> {
         dae: Dae<F>,
         corrections: Vec<(f64, Vec<f64>)>,
     }
-    impl<F: FnMut(f64, &[f64], &mut [f64])> HybridSystem for Told<F> {
+    impl<F: FnMut(f64, &[f64], &mut [f64])> HybridSystem for WithCorrections<F> {
         fn n_states(&self) -> usize {
             self.dae.n_states()
         }
@@ -227,7 +227,7 @@ fn algebraic_guess_is_corrected_at_start() {
         for (y, z) in [(3.0, 0.0), (2.0, 5.0), (-40.0, 1e3), (0.0, 0.0), (300.0, -1e5)] {
             let options = Options { method, relative_tolerance: 1e-8, ..Options::default() };
             let (mut seen, mut driver) = (Recorder::default(), Driver::new(options).unwrap());
-            let mut reported = Told {
+            let mut reported = WithCorrections {
                 dae: Dae { x0: vec![1.0, y, z], mass: [&[1.0][..], &[0.0; 8]].concat(), f: plain },
                 corrections: Vec::new(),
             };

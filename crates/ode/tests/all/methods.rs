@@ -252,7 +252,7 @@ impl Observer for Steps {
     fn sample(&mut self, _: &Sample<'_>) -> std::ops::ControlFlow<()> {
         std::ops::ControlFlow::Continue(())
     }
-    fn wants_steps(&self) -> bool {
+    fn needs_steps(&self) -> bool {
         true
     }
     fn step(&mut self, step: &StepView<'_>) {

@@ -14,7 +14,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from ._calibration.worker import know_interpreter as _know_interpreter
+from ._calibration.worker import set_interpreter as _set_interpreter
 from ._core import __version__
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ if TYPE_CHECKING:
     from ._optimize.result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
     from ._optimize.scipy import scipy_method
 
-_know_interpreter()
+_set_interpreter()
 #: Modules and the names that `pydfo` exports from them. A module is imported when one of its names is first used.
 _HOMES = {
     "_calibration.calibration": "Calibration",

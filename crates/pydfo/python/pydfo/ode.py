@@ -236,7 +236,7 @@ def solve(
         Equations without a derivative must then hold at the start and after each event. If they do not hold within
         the tolerances, Newton's method corrects the states that they determine and keeps ``mass @ y``. Pass exact
         values of the other states, and guesses of these states. If Newton's method fails, the integration fails and
-        the message names the equation. For "radau5", "bdf" and "auto".
+        the message contains the equation. For "radau5", "bdf" and "auto".
     first_step, max_step : float, optional
         First and largest step. By default, the first step is estimated, and the largest step is the span.
     step : float, optional
@@ -390,7 +390,7 @@ def solve_dae(
     -------
     OdeResult
         As in `solve`; ``nfev`` counts residuals, including those for difference quotients. For a system of index 2 or
-        higher, ``success`` is False, and the message names the variables that its equations do not determine. For
+        higher, ``success`` is False, and the message lists the variables that its equations do not determine. For
         more than 500 states with sparse matrices, see `jac_sparsity`.
 
     Examples
@@ -496,13 +496,13 @@ def _run(
     rtol: SupportsFloat,
     chattering: str,
     args: Sequence[Any],
-    **asked: Any,
+    **arguments: Any,
 ) -> OdeResult:
     """Checks the arguments, named as in `solve`, and integrates.
 
     `equations` is the name and the function of the equations. With slopes at the start, the function returns the residual.
     """
-    on_event, jac, sparsity = asked["on_event"], asked["jac"], asked["jac_sparsity"]
+    on_event, jac, sparsity = arguments["on_event"], arguments["jac"], arguments["jac_sparsity"]
     for name, function in (equations, ("on_event", on_event)):
         if not callable(function) and (name != "on_event" or function is not None):
             raise TypeError(f"{name} must be callable, not {function!r}")
@@ -524,27 +524,27 @@ def _run(
         "start": start,
         "end": end,
         "x0": x.tolist(),
-        "method": asked["method"],
-        "times": None if asked["t_eval"] is None else _values.vector("t_eval", asked["t_eval"]).tolist(),
-        "dense_output": _values.flag("dense_output", asked["dense_output"]),
-        "events": [(bind(function), *_marks(i, function)) for i, function in enumerate(_listed(asked["events"]))],
+        "method": arguments["method"],
+        "times": None if arguments["t_eval"] is None else _values.vector("t_eval", arguments["t_eval"]).tolist(),
+        "dense_output": _values.flag("dense_output", arguments["dense_output"]),
+        "events": [(bind(function), *_marks(i, function)) for i, function in enumerate(_listed(arguments["events"]))],
         "on_event": None if on_event is None else bind(on_event),
         "jacobian": bind(jac) if callable(jac) else jac,
         "sparsity": None if sparsity is None else _pattern(sparsity, n),
-        "mass": asked.get("mass"),
+        "mass": arguments.get("mass"),
         "rtol": _values.number("rtol", rtol),
-        "atol": _tolerances(asked["atol"], float(rtol), n),
-        "interior_samples": _count("interior_samples", asked["interior_samples"]),
+        "atol": _tolerances(arguments["atol"], float(rtol), n),
+        "interior_samples": _count("interior_samples", arguments["interior_samples"]),
         "chattering": _values.choice("chattering", chattering),
-        "slopes": asked.get("slopes"),
-        "exclude_algebraic": asked.get("exclude_algebraic", False),
+        "slopes": arguments.get("slopes"),
+        "exclude_algebraic": arguments.get("exclude_algebraic", False),
     }
     for name in ("first_step", "max_step", "step", "max_time"):
-        problem[name] = _values.optional_number(name, asked.get(name))
+        problem[name] = _values.optional_number(name, arguments.get(name))
     if problem["max_step"] == np.inf:
         problem["max_step"] = None
     for name in ("max_steps", "max_events"):
-        problem[name] = _values.limit(name, asked[name], 0)
+        problem[name] = _values.limit(name, arguments[name], 0)
     result = _core.solve(problem)
     if result.stats.chattering and chattering == "warn":
         _log.warning("solve: time hardly advanced during %d sequences of 100 events", result.stats.chattering)

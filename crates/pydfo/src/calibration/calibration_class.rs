@@ -25,7 +25,7 @@ use calibration::{
     CalibrationError, Experiment, FitOptions, LivePage, PreflightOptions, Problem, Severity,
     SimulationExecutor, UncertaintyOptions,
 };
-use dfo::{Progress, Query, RobustLoss, Termination, Want};
+use dfo::{EvaluationKind, Progress, Query, RobustLoss, Termination};
 use numpy::PyArray1;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -118,8 +118,8 @@ impl PyCalibration {
         let experiments =
             experiments.into_iter().enumerate().map(&mut named).collect::<PyResult<Vec<_>>>()?;
         let built = files::watched(py, move |cancel| {
-            let ask = || cancel.is_asked();
-            let context = RunContext::new().asking(&ask);
+            let ask = || cancel.is_requested();
+            let context = RunContext::new().polling(&ask);
             let mut builder = calibration::Calibration::builder(fmu).settings(settings);
             for (name, resolved, experiment) in experiments {
                 let made = experiment.experiment(resolved, &context).map_err(|e| match name {
@@ -159,7 +159,7 @@ impl PyCalibration {
         let answer = move |_: &CallingThread| {
             let mut stats = ode::Stats::default();
             let flag = stop.flag();
-            let query = Query::new(0, 0, cutoff).want(Want::Residuals).cancellable(&flag, deadline);
+            let query = Query::new(0, 0, cutoff).kind(EvaluationKind::Residuals).cancellable(&flag, deadline);
             let answer = inner.answer_counted(&x, &query, loss, &mut stats);
             (answer, stats)
         };
@@ -423,12 +423,13 @@ impl PyCalibration {
         let (reported, stopped) = (Arc::clone(&phase), page.clone());
         let outcome = watch.run(
             move |caller| {
-                let is_stop_asked = || page.as_ref().is_some_and(|page| page.is_stop_asked());
-                let (flag, ask) =
-                    (requested.flag(), || requested.is_asked() || callbacks.has_raised() || is_stop_asked());
+                let is_stop_requested = || page.as_ref().is_some_and(|page| page.is_stop_requested());
+                let (flag, ask) = (requested.flag(), || {
+                    requested.is_requested() || callbacks.has_raised() || is_stop_requested()
+                });
                 let context = RunContext::new().flagged(&flag);
-                let is_asked = requested.has_parent() || !callbacks.is_empty() || page.is_some();
-                let context = if is_asked { context.asking(&ask) } else { context };
+                let is_requested = requested.has_parent() || !callbacks.is_empty() || page.is_some();
+                let context = if is_requested { context.polling(&ask) } else { context };
                 let options = FitOptions {
                     run,
                     start,
@@ -452,7 +453,7 @@ impl PyCalibration {
                     None => inner.fit(options),
                 };
                 if let (Ok(fit), Some(page)) = (&fit, &page)
-                    && !requested.is_asked()
+                    && !requested.is_requested()
                 {
                     // The page only shows an existing fit, so its errors do not fail the fit.
                     page.show_report(&inner, fit, &RunContext::new().flagged(&flag))
@@ -482,10 +483,10 @@ impl PyCalibration {
                 Some(fit::result(py, &self.shared, fit)?)
             }
             // The button of the page acts like Ctrl-C.
-            Err(e) if e.is_interrupt() && stopped.is_some_and(|page| page.is_stop_asked()) => {
+            Err(e) if e.is_interrupt() && stopped.is_some_and(|page| page.is_stop_requested()) => {
                 return Err(error::interrupted(py, None, raised));
             }
-            Err(e) if raised.is_none() && !stop.is_asked() => return Err(error::calibration(py, &e)),
+            Err(e) if raised.is_none() && !stop.is_requested() => return Err(error::calibration(py, &e)),
             Err(_) => None,
         };
         error::ended(py, &stop, raised, result)

@@ -56,10 +56,10 @@ pub(crate) fn kind(
     let CostFields { name, function, gives_residuals } = given;
     let Some(function) = function else {
         return CostKind::of_name(&name).ok_or_else(|| {
-            let known = CostKind::named().map(|kind| format!("'{}'", kind.name()));
-            let known = known.collect::<Vec<_>>().join(", ");
+            let available = CostKind::named().map(|kind| format!("'{}'", kind.name()));
+            let available = available.collect::<Vec<_>>().join(", ");
             PyValueError::new_err(format!(
-                "objective = '{name}' is invalid; expected one of {known}, or a function of (measured, \
+                "objective = '{name}' is invalid; expected one of {available}, or a function of (measured, \
                  simulated)"
             ))
         });

@@ -93,7 +93,7 @@ enum WeightFields {
     Inverse((String,)),
     /// The word "sigma" and a known standard deviation.
     #[pyo3(transparent)]
-    Known((String, SigmaFields)),
+    Sigma((String, SigmaFields)),
     #[pyo3(transparent)]
     Rows(Numbers),
 }
@@ -169,11 +169,11 @@ impl ExperimentFields {
         callbacks: &mut Callbacks,
     ) -> PyResult<Resolved> {
         let of_parameter = |name: &str| parameters.iter().any(|p| p.is_local() && p.name() == name);
-        let (own, others): (Vec<_>, Vec<_>) =
+        let (matching, others): (Vec<_>, Vec<_>) =
             self.start_values.drain(..).partition(|(name, _)| of_parameter(name));
         let given = others.into_iter().map(|(name, value)| (name, value.into_bound(py)));
         let mut start_values = values::all_from_python(py, fmu.description(), given)?;
-        for (name, value) in own {
+        for (name, value) in matching {
             let number: f64 = value.extract(py).map_err(|_| {
                 let message = "its start value in an experiment must be a number".to_owned();
                 error::calibration(py, &CalibrationError::Parameter { name: name.clone(), message })
@@ -203,7 +203,7 @@ impl ExperimentFields {
         let measured = self.outputs.iter().map(|(_, column, _)| column);
         let weights = self.outputs.iter().filter_map(|(_, _, weight)| match weight {
             WeightFields::Column(name) if !is_output_scale(name) => Some(name),
-            WeightFields::Known((_, SigmaFields::Text(text))) if !is_sigma_text(text) => Some(text),
+            WeightFields::Sigma((_, SigmaFields::Text(text))) if !is_sigma_text(text) => Some(text),
             _ => None,
         });
         let driving = self.inputs.iter().filter_map(|(_, source)| match source {
@@ -247,9 +247,9 @@ impl ExperimentFields {
                 WeightFields::Constant(weight) => Weight::Constant(weight),
                 WeightFields::Column(name) => Weight::named(&name),
                 WeightFields::Inverse((name,)) => Weight::Inverse(OutputScale::named(&name)?),
-                WeightFields::Known((_, SigmaFields::Constant(sigma))) => Sigma::Constant(sigma).into(),
-                WeightFields::Known((_, SigmaFields::Text(text))) => Weight::of_sigma(&text, &column)?,
-                WeightFields::Known((_, SigmaFields::Rows(Numbers(sigmas)))) => Sigma::Rows(sigmas).into(),
+                WeightFields::Sigma((_, SigmaFields::Constant(sigma))) => Sigma::Constant(sigma).into(),
+                WeightFields::Sigma((_, SigmaFields::Text(text))) => Weight::of_sigma(&text, &column)?,
+                WeightFields::Sigma((_, SigmaFields::Rows(Numbers(sigmas)))) => Sigma::Rows(sigmas).into(),
                 WeightFields::Rows(Numbers(weights)) => Weight::Rows(weights),
             };
             experiment = experiment.weighted_output(variable, column, weight);

@@ -64,9 +64,9 @@ pub(crate) fn recorded_inputs<'py>(
         error::warn_as(py, &py.get_type::<error::CalibrationWarning>(), &warning.to_string())?;
     }
     let series = |(variable, column): (String, String)| {
-        let known =
+        let samples =
             data.time().iter().zip(data.column(&column).map_err(bad)?).filter(|(_, value)| !value.is_nan());
-        let (times, values): (Vec<f64>, Vec<f64>) = known.unzip();
+        let (times, values): (Vec<f64>, Vec<f64>) = samples.unzip();
         Ok((variable, PyArray1::from_vec(py, times), PyArray1::from_vec(py, values)))
     };
     pairs.into_iter().map(series).collect()

@@ -56,8 +56,8 @@ impl Shared {
         if let Some(e) = watch.stop().take_raised().or_else(|| self.callbacks.take_raised()) {
             return Err(e);
         }
-        match (result, watch.stop().is_asked()) {
-            (Ok(result), is_asked) => Ok((result, is_asked)),
+        match (result, watch.stop().is_requested()) {
+            (Ok(result), is_requested) => Ok((result, is_requested)),
             (Err(e), false) => Err(error::calibration(py, &e)),
             (Err(_), true) => Err(error::interrupted(py, None, None)),
         }

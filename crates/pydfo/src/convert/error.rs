@@ -160,7 +160,7 @@ pub(crate) fn ended<'py>(
             let _ = e.value(py).setattr("partial_result", result);
             Err(e)
         }
-        (None, result) if stop.is_asked() => Err(interrupted(py, result.as_ref(), None)),
+        (None, result) if stop.is_requested() => Err(interrupted(py, result.as_ref(), None)),
         (None, Some(result)) => Ok(result),
         (None, None) => Err(NoResult::new_err("the run ended without a result")),
     }

@@ -179,7 +179,7 @@ pub(crate) fn to_python<'py>(
     is_over: &dyn Fn() -> bool,
 ) -> PyResult<Bound<'py, PyAny>> {
     let n = report.x.len();
-    let covariance = report.covariance_unless(&RunContext::new().asking(is_over));
+    let covariance = report.covariance_unless(&RunContext::new().polling(is_over));
     let message = covariance.as_ref().map(|covariance| covariance.message(|index| format!("x[{index}]")));
     let covariance = covariance.map(|covariance| matrix(py, covariance.matrix, n)).transpose()?;
     let computed = dict!(py;;

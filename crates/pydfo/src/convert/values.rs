@@ -92,7 +92,7 @@ const DTYPES: [(VariableKind, &str); 15] = [
 ];
 
 fn dtype_of(kind: VariableKind) -> &'static str {
-    DTYPES.iter().find(|(known, _)| *known == kind).map_or("object", |(_, dtype)| dtype)
+    DTYPES.iter().find(|(listed, _)| *listed == kind).map_or("object", |(_, dtype)| dtype)
 }
 
 /// NumPy types by the names of the kinds.
@@ -217,11 +217,11 @@ fn item(description: &ModelDescription, variable: &Variable, name: &str) -> PyRe
 }
 
 fn no_item(variable: &Variable, given: &str, items: &[EnumerationItem]) -> PyErr {
-    let known: Vec<String> = items.iter().map(|item| format!("{} ({})", item.name, item.value)).collect();
+    let available: Vec<String> = items.iter().map(|item| format!("{} ({})", item.name, item.value)).collect();
     BadModelValueError::new_err(format!(
         "{} = {given} is invalid; expected one of the items of its type: {}",
         variable.name,
-        known.join(", ")
+        available.join(", ")
     ))
 }
 

@@ -53,11 +53,11 @@ impl EndRequest {
     }
 
     /// True if the user, or the surrounding work, has requested the end of this work.
-    pub(crate) fn is_asked(&self) -> bool {
+    pub(crate) fn is_requested(&self) -> bool {
         if self.requested.load(Ordering::Relaxed) > 0 {
             return true;
         }
-        let by_parent = self.parent.as_ref().is_some_and(|p| p.is_asked());
+        let by_parent = self.parent.as_ref().is_some_and(|p| p.is_requested());
         if by_parent {
             self.ask();
         }
@@ -85,7 +85,7 @@ impl EndRequest {
     /// work twice.
     fn look(&self, py: Python<'_>) -> bool {
         let Err(e) = logs::pass_on(py).and_then(|()| py.check_signals()) else {
-            self.is_asked();
+            self.is_requested();
             return false;
         };
         if !e.is_instance_of::<PyKeyboardInterrupt>(py) {
@@ -97,7 +97,7 @@ impl EndRequest {
     /// Handles signals in a loop on the calling thread. Returns true if the loop must end.
     pub(crate) fn poll(&self, py: Python<'_>) -> bool {
         self.look(py);
-        self.is_asked()
+        self.is_requested()
     }
 
     /// Takes the exception with which a signal handler of the user, or a handler of log lines, ended the
@@ -204,20 +204,21 @@ impl<'py> InterruptGuard<'py> {
         let mut watch = Self::without_handler(py);
         let signals = Signals::get(py)?;
         let current = signals.handler(py)?;
-        if let Ok(ours) = current.cast::<SigintHandler>() {
+        if let Ok(handler) = current.cast::<SigintHandler>() {
             // This is inside other work on the main thread, or on another thread while the main thread works.
             // In the second case, the surrounding work, if any, is known as the parent.
             let threading = py.import("threading")?;
             let main = threading.call_method0("main_thread")?;
             if threading.call_method0("current_thread")?.is(&main) {
-                lock(&ours.get().active).push(Arc::clone(&watch.stop));
-                watch.handler = Some(ours.clone());
+                lock(&handler.get().active).push(Arc::clone(&watch.stop));
+                watch.handler = Some(handler.clone());
             }
         } else if signals.is_raising(&current) {
-            let ours = Bound::new(py, SigintHandler { active: Mutex::new(vec![Arc::clone(&watch.stop)]) })?;
-            match signals.handle_by(py, ours.as_any()) {
+            let handler =
+                Bound::new(py, SigintHandler { active: Mutex::new(vec![Arc::clone(&watch.stop)]) })?;
+            match signals.handle_by(py, handler.as_any()) {
                 Ok(()) => {
-                    watch.handler = Some(ours);
+                    watch.handler = Some(handler);
                     watch.previous = Some(current);
                 }
                 // A pending signal was handled before our handler was installed.
@@ -246,7 +247,7 @@ impl<'py> InterruptGuard<'py> {
                 Python::attach(|py| stop.look(py));
                 *lock(&next) = Instant::now() + POLL_INTERVAL;
             }
-            stop.is_asked()
+            stop.is_requested()
         }
     }
 
@@ -254,7 +255,7 @@ impl<'py> InterruptGuard<'py> {
     /// 20 ms.
     pub(crate) fn run_here<T: Send>(&self, work: impl FnOnce(&RunContext<'_>) -> T + Send) -> T {
         let (flag, ask) = (self.stop.flag(), self.poller());
-        self.py.detach(|| work(&RunContext::new().flagged(&flag).asking(&ask)))
+        self.py.detach(|| work(&RunContext::new().flagged(&flag).polling(&ask)))
     }
 
     /// Runs work that calls Python functions on several threads. The work runs on a separate thread without
@@ -298,9 +299,9 @@ impl<'py> InterruptGuard<'py> {
 
 impl InterruptGuard<'_> {
     /// Restores the previous handler, unless ours has been replaced.
-    fn restore(&self, ours: &Bound<'_, SigintHandler>, previous: &Bound<'_, PyAny>) -> PyResult<()> {
+    fn restore(&self, handler: &Bound<'_, SigintHandler>, previous: &Bound<'_, PyAny>) -> PyResult<()> {
         let signals = Signals::get(self.py)?;
-        match signals.handler(self.py)?.is(ours) {
+        match signals.handler(self.py)?.is(handler) {
             true => signals.handle_by(self.py, previous),
             false => Ok(()),
         }

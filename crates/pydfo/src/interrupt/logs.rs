@@ -40,7 +40,7 @@ impl Log for Keeper {
 
 /// Installs the logger for the libraries.
 pub(crate) fn install() {
-    if fmi::worker::is_asked() {
+    if fmi::worker::is_worker_start() {
         // A worker process has a separate logger.
         return;
     }

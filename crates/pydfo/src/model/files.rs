@@ -35,9 +35,9 @@ pub(crate) fn try_open(
 /// Runs work that may take seconds without the interpreter lock. Ctrl-C ends it.
 pub(crate) fn watched<T: Send>(py: Python<'_>, work: impl FnOnce(CancelRequest) -> T + Send) -> PyResult<T> {
     let watch = InterruptGuard::without_handler(py);
-    let cancel = CancelRequest::asking(watch.poller());
+    let cancel = CancelRequest::polling(watch.poller());
     let done = py.detach(|| work(cancel));
-    if watch.stop().is_asked() { Err(watch.interrupted()) } else { Ok(done) }
+    if watch.stop().is_requested() { Err(watch.interrupted()) } else { Ok(done) }
 }
 
 /// Closes the FMUs that were kept open. Called when the interpreter ends, so that no unpacked folder remains.

@@ -129,7 +129,7 @@ impl Callback {
     /// Returns one of the values at `time`. After an exception, returns NaN, which ends any simulation.
     pub(crate) fn value(&self, time: f64, position: usize) -> f64 {
         let mut last = lock(&self.last);
-        if last.as_ref().is_none_or(|(known, _)| known.to_bits() != time.to_bits()) {
+        if last.as_ref().is_none_or(|(last_time, _)| last_time.to_bits() != time.to_bits()) {
             // After an exception, there is nothing to store.
             *last = Some((time, self.call(time))).filter(|(_, values)| !values.is_empty());
         }

@@ -59,7 +59,7 @@ impl PyInstance {
         let mut vector = Vec::new();
         let answer = watch.run_here(|context| lock(&self.instance).call(call, given, &mut vector, context));
         logs::pass_on(py)?;
-        if watch.stop().is_asked() {
+        if watch.stop().is_requested() {
             py.detach(|| lock(&self.instance).interrupt());
             return Err(watch.interrupted());
         }
@@ -100,7 +100,7 @@ impl PyInstance {
         let raise = |e: FmiError| fmu_error::raise(py, &e);
         let kind = kind.parse().and_then(|kind| fmu.check_runnable_as(kind)).map_err(raise)?;
         // If this program cannot start processes, only an explicit request for one is an error.
-        let possible = if Launcher::is_known() { Isolation::Process } else { Isolation::None };
+        let possible = if Launcher::is_set() { Isolation::Process } else { Isolation::None };
         let isolation = isolation.map_or(Ok(possible), str::parse).map_err(raise)?;
         let options =
             InstanceOptions { name, logging, log_categories, visible, ..InstanceOptions::default() };
@@ -110,7 +110,7 @@ impl PyInstance {
             Isolation::None => IsolatedInstance::here(&fmu, kind, &options),
         });
         logs::pass_on(py)?;
-        if watch.stop().is_asked() {
+        if watch.stop().is_requested() {
             py.detach(|| drop(made));
             return Err(watch.interrupted());
         }
@@ -310,7 +310,7 @@ impl PyInstance {
         let watch = InterruptGuard::without_handler(py);
         watch.run_here(|context| lock(&self.instance).close(context));
         logs::pass_on(py)?;
-        if watch.stop().is_asked() { Err(watch.interrupted()) } else { Ok(()) }
+        if watch.stop().is_requested() { Err(watch.interrupted()) } else { Ok(()) }
     }
 }
 

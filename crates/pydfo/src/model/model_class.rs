@@ -41,7 +41,7 @@ pub(crate) struct Model {
 }
 
 /// The values set and the session or process that runs the model.
-struct Own {
+struct ModelState {
     session: Session,
     kind: InterfaceChoice,
     /// Processes that simulate the model, once one has been needed.
@@ -57,23 +57,23 @@ struct Own {
 /// State of the model. A simulation takes the model out, so that other calls fail instead of waiting for a
 /// lock.
 enum Slot {
-    Here(Box<Own>),
+    Here(Box<ModelState>),
     Simulating,
     Closed,
 }
 
 /// The model during a simulation. It is returned when this is dropped.
 struct Loan {
-    own: Option<Box<Own>>,
+    state: Option<Box<ModelState>>,
     slot: Arc<Mutex<Slot>>,
 }
 
 impl Drop for Loan {
     fn drop(&mut self) {
-        let Some(own) = self.own.take() else { return };
+        let Some(state) = self.state.take() else { return };
         let mut slot = lock(&self.slot);
         if matches!(*slot, Slot::Simulating) {
-            *slot = Slot::Here(own);
+            *slot = Slot::Here(state);
         }
     }
 }
@@ -150,7 +150,7 @@ impl Request<'_> {
     fn worker_limits(&self) -> Result<Option<WorkerLimits>, FmiError> {
         let isolation = self.isolation.as_deref().map(str::parse).transpose()?;
         // If this program cannot start processes, only an explicit request for one is an error.
-        let possible = if Launcher::is_known() { Isolation::Process } else { Isolation::None };
+        let possible = if Launcher::is_set() { Isolation::Process } else { Isolation::None };
         let isolation = isolation.unwrap_or(if self.sandbox { Isolation::Process } else { possible });
         match isolation {
             Isolation::Process => Ok(Some(WorkerLimits { sandbox: self.sandbox, ..WorkerLimits::default() })),
@@ -170,9 +170,10 @@ impl Model {
         let fmu = fmu.get().fmu.clone();
         let kind = kind.parse().map_err(|e| fmu_error::raise(py, &e))?;
         let session = Session::of_kind(fmu.clone(), kind);
-        let own = Own { session, kind, process: None, last: None, has_ended: false, is_end_logged: false };
+        let state =
+            ModelState { session, kind, process: None, last: None, has_ended: false, is_end_logged: false };
         let kind = fmu.choose(kind).map_err(|e| fmu_error::raise(py, &e))?;
-        let slot = Arc::new(Mutex::new(Slot::Here(Box::new(own))));
+        let slot = Arc::new(Mutex::new(Slot::Here(Box::new(state))));
         Ok(Self { fmu, kind, slot })
     }
 
@@ -180,9 +181,9 @@ impl Model {
     fn get<'py>(&self, py: Python<'py>, names: Vec<String>) -> PyResult<Vec<Bound<'py, PyAny>>> {
         // Initial values may require initializing the model, and thus building and loading it.
         let watch = InterruptGuard::without_handler(py);
-        let found = watch.run_here(|context| self.with_own(|own| own.values(&names, context)));
+        let found = watch.run_here(|context| self.with_session(|state| state.values(&names, context)));
         logs::pass_on(py)?;
-        if watch.stop().is_asked() {
+        if watch.stop().is_requested() {
             return Err(watch.interrupted());
         }
         let found = found?.map_err(|e| fmu_error::raise(py, &e))?;
@@ -202,15 +203,15 @@ impl Model {
         let pairs: Vec<_> = pairs.collect();
         // Without the interpreter lock, because outdated initial values are dropped, and an instance with
         // them.
-        let set = py.detach(|| self.with_own(|own| own.session.set_all(pairs)));
+        let set = py.detach(|| self.with_session(|state| state.session.set_all(pairs)));
         set?.map_err(|e| fmu_error::raise(py, &e))
     }
 
     fn reset(&self, py: Python<'_>) -> PyResult<()> {
         py.detach(|| {
-            self.with_own(|own| {
-                own.session.reset();
-                own.last = None;
+            self.with_session(|state| {
+                state.session.reset();
+                state.last = None;
             })
         })
     }
@@ -231,14 +232,16 @@ impl Model {
     /// Names of the variables that were set.
     fn names_set(&self, py: Python<'_>) -> PyResult<Vec<String>> {
         // The thread that holds the lock may wait for the interpreter lock.
-        py.detach(|| self.with_own(|own| own.session.values().map(|(name, _)| name.to_owned()).collect()))
+        py.detach(|| {
+            self.with_session(|state| state.session.values().map(|(name, _)| name.to_owned()).collect())
+        })
     }
 
     /// Names and values of the variables that were set.
     fn values_set<'py>(&self, py: Python<'py>) -> PyResult<Vec<(String, Bound<'py, PyAny>)>> {
         let set: Vec<(String, fmi::Value)> = py.detach(|| {
-            self.with_own(|own| {
-                own.session.values().map(|(name, value)| (name.to_owned(), value.clone())).collect()
+            self.with_session(|state| {
+                state.session.values().map(|(name, value)| (name.to_owned(), value.clone())).collect()
             })
         })?;
         let description = self.fmu.description();
@@ -260,14 +263,16 @@ impl Model {
             false => InterruptGuard::new(py)?,
         };
         let stop = watch.stop();
-        let described =
-            request.described.as_ref().map_or_else(|| self.fmu.clone(), |own| own.get().fmu.clone());
+        let described = request
+            .described
+            .as_ref()
+            .map_or_else(|| self.fmu.clone(), |description| description.get().fmu.clone());
         let (options, callbacks) = self.options(py, request, described.description(), stop)?;
         let outcome = watch.run_here(|context| {
-            let own = loan.own.as_mut()?;
+            let state = loan.state.as_mut()?;
             Some(match limits {
-                Some(limits) => own.simulate_apart(limits, &options, context),
-                None => own.simulate_here(&options, context),
+                Some(limits) => state.simulate_apart(limits, &options, context),
+                None => state.simulate_here(&options, context),
             })
         });
         callbacks.release();
@@ -277,13 +282,13 @@ impl Model {
             return Err(e);
         }
         match outcome {
-            Some(Ok(trajectory)) if !stop.is_asked() => {
+            Some(Ok(trajectory)) if !stop.is_requested() => {
                 if let Some(reported) = trajectory.not_finite() {
                     error::warn_as(py, &py.get_type::<error::SimulationWarning>(), &reported)?;
                 }
                 trajectory::record(py, described.description(), trajectory)
             }
-            Some(Err(e)) if !stop.is_asked() => Err(fmu_error::raise(py, &e)),
+            Some(Err(e)) if !stop.is_requested() => Err(fmu_error::raise(py, &e)),
             Some(Ok(trajectory)) => Err(interrupted(Some(trajectory.end_time))),
             Some(Err(fmi::FmiError::Simulation(e))) => Err(interrupted(Some(e.time))),
             _ => Err(interrupted(None)),
@@ -291,7 +296,7 @@ impl Model {
     }
 }
 
-impl Own {
+impl ModelState {
     /// Returns the processes of the model with these limits.
     fn process(&mut self, limits: WorkerLimits) -> Result<&ModelProcess, FmiError> {
         if self.has_ended && !self.is_end_logged {
@@ -364,11 +369,11 @@ impl Own {
         names: &[String],
         context: &RunContext<'_>,
     ) -> Result<Vec<(Value, Vec<usize>)>, FmiError> {
-        let is_apart = self.last.is_some() || (!self.session.is_simulated() && Launcher::is_known());
+        let is_apart = self.last.is_some() || (!self.session.is_simulated() && Launcher::is_set());
         let mut values = Vec::with_capacity(names.len());
         for name in names {
             values.push(match is_apart {
-                true => self.session.known(name, self.last.is_some())?,
+                true => self.session.value_without_run(name, self.last.is_some())?,
                 false => Some(self.session.get(name)?),
             });
         }
@@ -403,9 +408,9 @@ impl Own {
 }
 
 impl Model {
-    fn with_own<T>(&self, work: impl FnOnce(&mut Own) -> T) -> PyResult<T> {
+    fn with_session<T>(&self, work: impl FnOnce(&mut ModelState) -> T) -> PyResult<T> {
         match &mut *lock(&self.slot) {
-            Slot::Here(own) => Ok(work(own)),
+            Slot::Here(state) => Ok(work(state)),
             Slot::Simulating => Err(busy()),
             Slot::Closed => Err(closed()),
         }
@@ -414,7 +419,7 @@ impl Model {
     fn lend(&self) -> PyResult<Loan> {
         let mut slot = lock(&self.slot);
         match std::mem::replace(&mut *slot, Slot::Simulating) {
-            Slot::Here(own) => Ok(Loan { own: Some(own), slot: Arc::clone(&self.slot) }),
+            Slot::Here(state) => Ok(Loan { state: Some(state), slot: Arc::clone(&self.slot) }),
             Slot::Simulating => Err(busy()),
             Slot::Closed => {
                 *slot = Slot::Closed;

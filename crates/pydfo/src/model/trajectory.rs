@@ -107,7 +107,7 @@ fn exactly<'py>(py: Python<'py>, kind: VariableKind, column: &ValueColumn) -> Py
             let mut made: HashMap<usize, Py<PyAny>> = HashMap::new();
             let object = |place: &usize| -> PyResult<Py<PyAny>> {
                 Ok(match made.entry(*place) {
-                    Entry::Occupied(known) => known.get().clone_ref(py),
+                    Entry::Occupied(entry) => entry.get().clone_ref(py),
                     Entry::Vacant(new) => {
                         let value = column.distinct()[*place].clone();
                         new.insert(values::to_python(py, value, kind, &[])?.unbind()).clone_ref(py)

@@ -65,7 +65,7 @@ impl Observer for Keeper<'_, '_> {
         ControlFlow::Continue(())
     }
 
-    fn wants_steps(&self) -> bool {
+    fn needs_steps(&self) -> bool {
         self.dense.is_some()
     }
 
@@ -158,8 +158,8 @@ impl<'py> Problem<'py> {
                         if let Some((i, k, v)) = entries.iter().find(|e| !called && !e.2.is_finite()) {
                             return Err(PyValueError::new_err(format!("jac[{i}, {k}] = {v} must be finite")));
                         }
-                        let own = || entries.iter().map(|(i, k, _)| (*i, *k)).collect();
-                        let pattern = pattern_of(places.get_or_insert_with(own));
+                        let positions = || entries.iter().map(|(i, k, _)| (*i, *k)).collect();
+                        let pattern = pattern_of(places.get_or_insert_with(positions));
                         let places = pattern.iter().flat_map(JacobianPattern::entries).zip(0..).collect();
                         let function = called.then(|| given.clone());
                         let sparse = SparseJacobian { function, entries, places };
@@ -205,8 +205,8 @@ impl<'py> Problem<'py> {
 
 /// Returns the method that corresponds to a method name of another tool; None if there is none.
 #[pyfunction]
-pub(crate) fn solver_standing_for(name: &str) -> Option<&'static str> {
-    Method::standing_for(name).map(Method::name)
+pub(crate) fn solver_of_alias(name: &str) -> Option<&'static str> {
+    Method::of_alias(name).map(Method::name)
 }
 
 /// Integrates a system written in Python, on the calling thread.

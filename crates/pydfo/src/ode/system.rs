@@ -154,7 +154,7 @@ impl HybridSystem for PySystem<'_> {
         if let Some(slopes) = self.slopes.clone() {
             return self.residual(t, x, &slopes, dx);
         }
-        self.ask(|this| vector(&this.rhs.call1((t, this.array(x)))?, dx, "rhs"))
+        self.ask(|system| vector(&system.rhs.call1((t, system.array(x)))?, dx, "rhs"))
     }
 
     fn can_run_backward(&self) -> bool {
@@ -172,7 +172,7 @@ impl HybridSystem for PySystem<'_> {
     }
 
     fn residual(&mut self, t: f64, x: &[f64], dx: &[f64], r: &mut [f64]) -> CallResult<()> {
-        self.ask(|this| vector(&this.rhs.call1((t, this.array(x), this.array(dx)))?, r, "residual"))
+        self.ask(|system| vector(&system.rhs.call1((t, system.array(x), system.array(dx)))?, r, "residual"))
     }
 
     fn residual_jacobian(
@@ -183,10 +183,10 @@ impl HybridSystem for PySystem<'_> {
         argument: Argument,
         j: &mut [f64],
     ) -> CallResult<bool> {
-        self.ask(|this| {
-            let JacobianSource::Function(function) = &this.jacobian else { return Ok(false) };
+        self.ask(|system| {
+            let JacobianSource::Function(function) = &system.jacobian else { return Ok(false) };
             let (of_states, of_slopes) = function
-                .call1((t, this.array(x), this.array(dx)))?
+                .call1((t, system.array(x), system.array(dx)))?
                 .extract::<(Bound<'_, PyAny>, Bound<'_, PyAny>)>()
                 .map_err(|_| PyTypeError::new_err("jac must return two matrices, dF/dy and dF/dy'"))?;
             let requested = if argument == Argument::States { of_states } else { of_slopes };
@@ -204,14 +204,14 @@ impl HybridSystem for PySystem<'_> {
     }
 
     fn jacobian(&mut self, t: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
-        self.ask(|this| match &this.jacobian {
+        self.ask(|system| match &system.jacobian {
             JacobianSource::Differences | JacobianSource::Sparse(_) => Ok(false),
             JacobianSource::Constant(values) => {
                 j.copy_from_slice(values);
                 Ok(true)
             }
             JacobianSource::Function(function) => {
-                let columns = matrix(&function.call1((t, this.array(x)))?, x.len(), "jac")?;
+                let columns = matrix(&function.call1((t, system.array(x)))?, x.len(), "jac")?;
                 j.copy_from_slice(&columns);
                 Ok(true)
             }
@@ -219,9 +219,9 @@ impl HybridSystem for PySystem<'_> {
     }
 
     fn jacobian_entries(&mut self, t: f64, x: &[f64], entries: &mut [f64]) -> CallResult<bool> {
-        self.ask(|this| {
-            let JacobianSource::Sparse(sparse) = &this.jacobian else { return Ok(false) };
-            sparse.read(t, this.array(x), entries).map(|()| true)
+        self.ask(|system| {
+            let JacobianSource::Sparse(sparse) = &system.jacobian else { return Ok(false) };
+            sparse.read(t, system.array(x), entries).map(|()| true)
         })
     }
 
@@ -239,9 +239,9 @@ impl HybridSystem for PySystem<'_> {
     }
 
     fn event_indicators(&mut self, t: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
-        self.ask(|this| {
-            for (i, (event, z)) in this.events.iter().zip(z).enumerate() {
-                *z = number(&event.function.call1((t, this.array(x)))?, &format!("event {i}"))?;
+        self.ask(|system| {
+            for (i, (event, z)) in system.events.iter().zip(z).enumerate() {
+                *z = number(&event.function.call1((t, system.array(x)))?, &format!("event {i}"))?;
             }
             Ok(())
         })
@@ -267,9 +267,9 @@ impl HybridSystem for PySystem<'_> {
         if which.is_empty() || self.on_event.is_none() {
             return Ok(outcome);
         }
-        outcome.states_changed = self.ask(|this| {
-            let Some(on_event) = &this.on_event else { return Ok(false) };
-            let states = this.array(x);
+        outcome.states_changed = self.ask(|system| {
+            let Some(on_event) = &system.on_event else { return Ok(false) };
+            let states = system.array(x);
             let answer = on_event.call1((visit.time, &states, which))?;
             if answer.is_none() && states.readonly().as_slice()? == x {
                 return Ok(false);

@@ -55,7 +55,7 @@ impl RunSetup {
         observer: Option<&mut Observer<'_>>,
     ) -> Result<Report, dfo::Error> {
         let flag = stop.flag();
-        let run = self.describe(run)?.context(RunContext::new().flagged(&flag).asking(ask));
+        let run = self.describe(run)?.context(RunContext::new().flagged(&flag).polling(ask));
         match observer {
             Some(observer) => run.observer(observer).run(),
             None => run.run(),
@@ -70,7 +70,7 @@ impl RunSetup {
 /// residuals.
 #[pyfunction]
 #[pyo3(signature = (
-    func, x0, lower, upper, options, *, tolerant=false, observer=None, detail=false, batches=false, cutoffs=false
+    func, x0, lower, upper, options, *, failures_allowed=false, observer=None, detail=false, batches=false, cutoffs=false
 ))]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of a private function")]
 pub(crate) fn minimize<'py>(
@@ -80,7 +80,7 @@ pub(crate) fn minimize<'py>(
     lower: Vec<f64>,
     upper: Vec<f64>,
     mut options: PyRecord,
-    tolerant: bool,
+    failures_allowed: bool,
     observer: Option<Py<PyAny>>,
     detail: bool,
     batches: bool,
@@ -96,7 +96,7 @@ pub(crate) fn minimize<'py>(
     let setup = RunSetup::new(x0, lower, upper, requested);
     let watch = InterruptGuard::new(py)?;
     let stop = Arc::clone(watch.stop());
-    let objective = Arc::new(PyObjective::new(func, tolerant, cutoffs, loss, Arc::clone(&stop)));
+    let objective = Arc::new(PyObjective::new(func, failures_allowed, cutoffs, loss, Arc::clone(&stop)));
     let listener = observer.map(|function| Arc::new(Listener::new(function, detail)));
     let outcome = if alone || batches {
         let mut notify = |progress: &Progress<'_>| match &listener {
@@ -124,7 +124,7 @@ pub(crate) fn minimize<'py>(
         let work = move |caller: &CallingThread| {
             let mut notify = |progress: &Progress<'_>| seen.pass_on(progress, caller, notified.as_ref());
             let run = dfo::minimize(ByRef(&*objective));
-            setup.run(run, &stop, &|| stop.is_asked(), Some(&mut notify))
+            setup.run(run, &stop, &|| stop.is_requested(), Some(&mut notify))
         };
         let outcome = watch.run(work, |_| Ok(()))?;
         match outcome {
@@ -153,7 +153,7 @@ fn conclude<'py>(
             report::set_raised(&mut report, raised.as_ref());
             Some(report::to_python(py, report, kind, &|| stop.poll(py))?)
         }
-        Err(e) if raised.is_none() && !stop.is_asked() => return Err(error::optimiser(py, &e)),
+        Err(e) if raised.is_none() && !stop.is_requested() => return Err(error::optimiser(py, &e)),
         Err(_) => None,
     };
     error::ended(py, stop, raised, result)

@@ -15,7 +15,7 @@ use std::sync::{Arc, Mutex};
 pub(crate) struct PyObjective {
     function: Py<PyAny>,
     /// True if an exception counts as a failed evaluation instead of ending the run.
-    tolerant: bool,
+    failures_allowed: bool,
     /// True if the function receives the cutoff, and may return `Above`.
     takes_cutoff: bool,
     /// Loss function of the residuals; `None` if the function returns a cost.
@@ -29,12 +29,12 @@ pub(crate) struct PyObjective {
 impl PyObjective {
     pub(crate) fn new(
         function: Py<PyAny>,
-        tolerant: bool,
+        failures_allowed: bool,
         takes_cutoff: bool,
         loss: Option<RobustLoss>,
         stop: Arc<EndRequest>,
     ) -> Self {
-        Self { function, tolerant, takes_cutoff, loss, stop, raised: Mutex::default() }
+        Self { function, failures_allowed, takes_cutoff, loss, stop, raised: Mutex::default() }
     }
 
     /// Returns `CutoffUse::Yes` if costs above the cutoff count as given up.
@@ -94,7 +94,9 @@ impl PyObjective {
                 Outcome::Abort(message)
             }
             // SystemExit and similar exceptions end the run when its path reaches the point.
-            Err(e) if self.tolerant && e.is_instance_of::<PyException>(py) => Outcome::failed(e.to_string()),
+            Err(e) if self.failures_allowed && e.is_instance_of::<PyException>(py) => {
+                Outcome::failed(e.to_string())
+            }
             Err(e) => self.abort(x, e),
         }
     }

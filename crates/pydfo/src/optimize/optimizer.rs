@@ -24,7 +24,7 @@ pub(crate) struct PyOptimizer {
 }
 
 /// Numbers, points (k, n), cutoffs.
-type AskedBatch<'py> = (Bound<'py, PyArray1<u64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>);
+type RequestedBatch<'py> = (Bound<'py, PyArray1<u64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>);
 
 #[pymethods]
 impl PyOptimizer {
@@ -46,11 +46,11 @@ impl PyOptimizer {
         Ok(Self { inner, n, of_residuals })
     }
 
-    fn ask<'py>(&self, py: Python<'py>, at_most: Option<usize>) -> PyResult<AskedBatch<'py>> {
+    fn ask<'py>(&self, py: Python<'py>, at_most: Option<usize>) -> PyResult<RequestedBatch<'py>> {
         let watch = InterruptGuard::without_handler(py);
         let at_most = at_most.unwrap_or(usize::MAX);
         let points = watch.run_here(|context| lock(&self.inner).ask_unless(at_most, context));
-        if points.is_empty() && watch.stop().is_asked() {
+        if points.is_empty() && watch.stop().is_requested() {
             return Err(watch.interrupted());
         }
         let flat: Vec<f64> = points.iter().flat_map(|p| p.x.iter().copied()).collect();
@@ -88,7 +88,7 @@ impl PyOptimizer {
         let reported = watch.run_here(|context| lock(&self.inner).tell_unless(id, answer, context));
         logs::pass_on(py)?;
         reported.map_err(|e| error::optimiser(py, &e))?;
-        if watch.stop().is_asked() { Err(watch.interrupted()) } else { Ok(()) }
+        if watch.stop().is_requested() { Err(watch.interrupted()) } else { Ok(()) }
     }
 
     #[getter]

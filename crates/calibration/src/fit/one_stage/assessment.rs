@@ -17,7 +17,7 @@ use crate::problem::objective::{CostKind, NamedCost};
 use crate::problem::parameter::Parameter;
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
-use crate::uncertainty::estimate::KnownPoint;
+use crate::uncertainty::estimate::EvaluatedPoint;
 use crate::uncertainty::result::{Uncertainty, UncertaintyOptions};
 use base::RunContext;
 use dfo::{Cause, RobustLoss, Termination, ToleranceMeasure};
@@ -33,11 +33,11 @@ const ENDED_EARLY: &str =
 
 impl Calibration {
     /// Returns the fit for completed searches. Also returns their residuals with the weights of this
-    /// calibration. `own` is the calibration with the weights and the tolerance of the fit. `stats` counts
+    /// calibration. `fitted` is the calibration with the weights and the tolerance of the fit. `stats` counts
     /// the simulations of the searches, and `budget` limits further simulations.
     pub(crate) fn assessed(
         &self,
-        own: &Self,
+        fitted: &Self,
         job: &Job<'_>,
         made: FinalSearch,
         mut stats: Stats,
@@ -46,12 +46,12 @@ impl Calibration {
         let SearchResult { report, residuals, start_cost, .. } = &made.searched;
         let Job { start, objective, loss, context, .. } = job;
         job.enter(FitPhase::Checks, &stats);
-        let ends = own.end_residuals(&report.x, residuals, *loss, context, &mut stats);
-        let mut findings = own.findings_of_search(job, &made, &ends, &mut budget, &mut stats);
+        let ends = fitted.end_residuals(&report.x, residuals, *loss, context, &mut stats);
+        let mut findings = fitted.findings_of_search(job, &made, &ends, &mut budget, &mut stats);
         let outputs =
-            ends.end.as_ref().map_or_else(Vec::new, |end| own.output_fits(end, ends.start.as_ref()));
+            ends.end.as_ref().map_or_else(Vec::new, |end| fitted.output_fits(end, ends.start.as_ref()));
         job.enter(FitPhase::Uncertainty, &stats);
-        let uncertainty = own.uncertainty_of_fit(job, &made, &ends, &mut budget, &mut stats);
+        let uncertainty = fitted.uncertainty_of_fit(job, &made, &ends, &mut budget, &mut stats);
         // The search ended normally, but the steps after it did not.
         if context.is_cancelled() && report.termination != Termination::Interrupted {
             let remedy = "Resume from the checkpoint, or fit again";
@@ -59,7 +59,8 @@ impl Calibration {
             findings.push(finding.of(Origin::Search));
         }
         if uncertainty.is_none() {
-            let found = own.findings_without_uncertainty(job, &made.searched, &ends, &mut budget, &mut stats);
+            let found =
+                fitted.findings_without_uncertainty(job, &made.searched, &ends, &mut budget, &mut stats);
             findings.extend(found);
         }
         let is_estimated = made.noise.as_ref().is_some_and(|noise| noise.estimated().is_some());
@@ -67,10 +68,10 @@ impl Calibration {
         let mut rms = |x: &[f64], cost: f64| match residuals.at(x) {
             _ if objective.is_sum_of_squares() && !is_estimated => Some(self.rms(x, cost)),
             // With another cost or other weights, the residuals must be known.
-            Some(known) => Some(self.rms_of(known, own.residual_layout(), noise)),
+            Some(residuals) => Some(self.rms_of(residuals, fitted.residual_layout(), noise)),
             None => {
-                let found = own.cost_and_residuals(x, objective, *loss, context, &mut stats);
-                found.map(|(_, residuals)| self.rms_of(&residuals, own.residual_layout(), noise))
+                let found = fitted.cost_and_residuals(x, objective, *loss, context, &mut stats);
+                found.map(|(_, residuals)| self.rms_of(&residuals, fitted.residual_layout(), noise))
             }
         };
         let (rms, start_rms) = match job.loss.is_linear() {
@@ -78,7 +79,7 @@ impl Calibration {
             // The cost with a loss does not determine the differences.
             false => {
                 let plain = |at: &Option<PointResiduals>| {
-                    at.as_ref().map(|at| self.rms_of(&at.residuals, own.residual_layout(), noise))
+                    at.as_ref().map(|at| self.rms_of(&at.residuals, fitted.residual_layout(), noise))
                 };
                 (plain(&ends.end), plain(&ends.start))
             }
@@ -88,10 +89,10 @@ impl Calibration {
         let shown_names: Vec<String> = parameters.iter().map(|p| p.shown_name().to_owned()).collect();
         let description = self.fmu().description();
         let unit = |p: &Parameter| p.unit(description).map(str::to_owned);
-        let kept_by = own.residual_layout().clone();
-        let SearchResult { report, stuck, residuals, start_cost, preflight, .. } = made.searched;
-        budget.add_skipped(&stuck.skipped);
-        let mut without_effect = stuck.without_effect;
+        let kept_by = fitted.residual_layout().clone();
+        let SearchResult { report, inactive, residuals, start_cost, preflight, .. } = made.searched;
+        budget.add_skipped(&inactive.skipped);
+        let mut without_effect = inactive.without_effect;
         without_effect.extend(uncertainty.iter().flat_map(|uncertainty| &uncertainty.without_effect));
         without_effect.sort_unstable();
         without_effect.dedup();
@@ -102,7 +103,7 @@ impl Calibration {
                 .iter()
                 .enumerate()
                 .filter(|(_, p)| p.lower() < p.upper())
-                .filter_map(|(i, p)| Some((i, *p.known_prior()?)))
+                .filter_map(|(i, p)| Some((i, *p.stated_prior()?)))
                 .collect(),
             bounds: parameters.iter().map(|p| (p.lower(), p.upper())).collect(),
             model: description.model_name.clone(),
@@ -127,9 +128,9 @@ impl Calibration {
             stages: Vec::new(),
             phases: Vec::new(),
             uncertainty,
-            at_bound: stuck.at_bound,
+            at_bound: inactive.at_bound,
             without_effect,
-            n_checks: stuck.n_checks,
+            n_checks: inactive.n_checks,
             skipped: budget
                 .skipped()
                 .iter()
@@ -202,13 +203,18 @@ impl Calibration {
             false => Vec::new(),
         };
         if is_compared {
-            let is_known = made.noise.as_ref().is_some_and(FitNoise::is_known);
+            let is_noise_known = made.noise.as_ref().is_some_and(FitNoise::is_known);
             let is_free = |(i, p): (usize, &Parameter)| {
-                let is_at_bound = made.searched.stuck.at_bound.iter().any(|(k, _)| *k == i);
+                let is_at_bound = made.searched.inactive.at_bound.iter().any(|(k, _)| *k == i);
                 !(p.is_fixed() || p.lower() == p.upper() || job.held.contains(&i) || is_at_bound)
             };
             let n_free = self.parameters().iter().enumerate().filter(|(i, p)| is_free((*i, p))).count();
-            found.extend(noise::contradiction_of_known(self.residual_layout(), residuals, n_free, is_known));
+            found.extend(noise::contradiction_of_known_noise(
+                self.residual_layout(),
+                residuals,
+                n_free,
+                is_noise_known,
+            ));
         }
         found
     }
@@ -261,9 +267,9 @@ impl Calibration {
         if let Some(noise) = noise.and_then(FitNoise::estimated) {
             noise.weigh_models(self.problem(), &mut layout);
         }
-        let own = layout.reweighed(residuals, weights);
+        let reweighed = layout.reweighed(residuals, weights);
         let n = self.n_measurements();
-        (sum_of_squares(&own[..n]) / n as f64).sqrt()
+        (sum_of_squares(&reweighed[..n]) / n as f64).sqrt()
     }
 
     /// Returns the cost and the residuals, with weights and loss, at `x`. Returns `None` if the simulation
@@ -292,7 +298,7 @@ impl Calibration {
         budget: &mut Budget,
         stats: &mut Stats,
     ) -> Option<Uncertainty> {
-        let SearchResult { report, stuck, tolerances, .. } = searched;
+        let SearchResult { report, inactive, tolerances, .. } = searched;
         let options = job.uncertainty.as_ref().filter(|_| job.objective.has_uncertainty())?;
         if !report.termination.cause().allows_evaluations() || job.context.is_over() {
             return None;
@@ -306,15 +312,15 @@ impl Calibration {
         let mut simulations = Simulations::new(self, RobustLoss::default(), workers, &job.context).ok()?;
         let is_likelihood = job.objective.is_likelihood();
         let criterion = UncertaintyOptions { loss: job.loss, is_likelihood, ..options.clone() }.criterion();
-        let at_bound = stuck.at_bound.iter().map(|(index, _)| *index);
-        let held = at_bound.filter(|index| !stuck.without_effect.contains(index));
+        let at_bound = inactive.at_bound.iter().map(|(index, _)| *index);
+        let held = at_bound.filter(|index| !inactive.without_effect.contains(index));
         // The residuals of a stage with a separate window have another length.
         let of_report = report.residuals.as_deref().filter(|r| r.len() == self.n_residuals());
-        let known = KnownPoint {
+        let evaluated_point = EvaluatedPoint {
             residuals: of_report.or(ends.end.as_ref().map(|end| end.residuals.as_slice())),
             jacobian: report.jacobian.as_deref(),
             held: options.held.iter().chain(&job.held).copied().chain(held).collect(),
-            inert: &stuck.without_effect,
+            inert: &inactive.without_effect,
             f_tol: match tolerances.measure {
                 ToleranceMeasure::Relative => tolerances.f_tol,
                 ToleranceMeasure::Absolute => tolerances.f_tol / report.fun.abs(),
@@ -327,7 +333,8 @@ impl Calibration {
             *budget = Budget::after(0);
         }
         std::mem::swap(budget, &mut simulations.budget);
-        let uncertainty = self.uncertainty_of(&report.x, options.estimator, &known, &mut simulations);
+        let uncertainty =
+            self.uncertainty_of(&report.x, options.estimator, &evaluated_point, &mut simulations);
         std::mem::swap(budget, &mut simulations.budget);
         *stats += simulations.stats;
         let mut phases = job.phases.borrow_mut();

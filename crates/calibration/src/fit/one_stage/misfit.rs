@@ -1,9 +1,9 @@
 //! Outputs that the fit reproduces worse than a constant would.
 
 use crate::cost::residual::sum_of_squares;
+use crate::findings::display_text::digits;
 use crate::findings::finding::{Finding, Origin, Severity};
 use crate::findings::identifier::FindingId;
-use crate::findings::shown_text::digits;
 use crate::loaded::calibration::Calibration;
 use crate::problem::residual_layout::OutputResiduals;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -100,18 +100,18 @@ pub(super) fn findings(calibration: &Calibration, residuals: &[f64]) -> Vec<Find
     // Sums of each variable over all experiments.
     let mut of_variables: Vec<(&str, Sums)> = Vec::new();
     for output in &layout.outputs {
-        let own = Sums::of(output, residuals);
+        let sums_of_output = Sums::of(output, residuals);
         match of_variables.iter_mut().find(|(variable, _)| *variable == output.variable) {
-            Some((_, sums)) => *sums = sums.with(own),
-            None => of_variables.push((&output.variable, own)),
+            Some((_, sums)) => *sums = sums.with(sums_of_output),
+            None => of_variables.push((&output.variable, sums_of_output)),
         }
     }
     let sums: Vec<Sums> = of_variables.iter().map(|(_, sums)| *sums).collect();
     let n_outputs = sums.iter().filter(|sums| sums.about_mean > 0.0).count();
     let are_all_worse = are_all_worse(&sums);
     let finding = |output: &OutputResiduals| {
-        let own = Sums::of(output, residuals);
-        if !own.is_worse_than_a_constant() {
+        let sums_of_output = Sums::of(output, residuals);
+        if !sums_of_output.is_worse_than_a_constant() {
             return None;
         }
         let all = of_variables.iter().find(|(variable, _)| *variable == output.variable)?.1;
@@ -125,18 +125,18 @@ pub(super) fn findings(calibration: &Calibration, residuals: &[f64]) -> Vec<Find
         let prefix = if names.len() == 1 { "" } else { &format!("{}: ", names[output.experiment]) };
         let sentence = format!(
             "the fit is worse than a constant: its residuals have an RMS of {}, the measurements a standard deviation of {}. {}",
-            digits((own.differences / own.n).sqrt()),
-            digits((own.about_mean / own.n).sqrt()),
-            match (own.is_no_chance(), are_all_worse, severity) {
+            digits((sums_of_output.differences / sums_of_output.n).sqrt()),
+            digits((sums_of_output.about_mean / sums_of_output.n).sqrt()),
+            match (sums_of_output.is_no_chance(), are_all_worse, severity) {
                 (true, _, Severity::Error) => "The fitted values are unusable".to_owned(),
                 (true, ..) =>
                     "The output contributes little to the cost, or is reproduced in other recordings"
                         .to_owned(),
                 (false, true, _) => format!(
                     "In {} rows this may be chance, but for {n_outputs} outputs together it is not",
-                    own.n
+                    sums_of_output.n
                 ),
-                (false, false, _) => format!("In {} rows this may be chance", own.n),
+                (false, false, _) => format!("In {} rows this may be chance", sums_of_output.n),
             }
         );
         let subject = format!("{prefix}output '{}' (column '{}')", output.variable, output.column);

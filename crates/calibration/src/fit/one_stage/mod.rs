@@ -71,7 +71,7 @@ impl Calibration {
             return Err(CalibrationError::Cancelled);
         }
         self.choose_method(&mut job.run, &job.held, &job.objective)?;
-        let (run, wants_preflight) = (job.run.clone(), job.wants_preflight);
+        let (run, has_preflight) = (job.run.clone(), job.has_preflight);
         let mut stats = Stats::default();
         loop {
             let n_late = self.fmu().n_late();
@@ -86,27 +86,27 @@ impl Calibration {
                 || Finding::note(FindingId::HiddenState, "FMU", HIDDEN_STATE, "").of(Origin::Search);
             made.searched.raised.extend(is_apart.then(handled));
             job.enter(FitPhase::FreshProcess, &stats);
-            let own = made.own.take();
-            let own = own.as_ref().unwrap_or(self);
-            let best = made.best(own.n_residuals(), job.objective.is_sum_of_squares());
+            let fitted = made.fitted_calibration.take();
+            let fitted = fitted.as_ref().unwrap_or(self);
+            let best = made.best(fitted.n_residuals(), job.objective.is_sum_of_squares());
             let mut budget = made.budget();
             // Reserve this evaluation even if no comparison follows, and reserve an accurate simulation of
             // the result. Otherwise processes or the number of workers would decide about the other
             // simulations.
-            let has_room = budget.take(1.0);
-            let reserved = if job.has_uncertainty() { own.price_of_accurate() } else { 0.0 };
+            let fits = budget.take(1.0);
+            let reserved = if job.has_uncertainty() { fitted.price_of_accurate() } else { 0.0 };
             let most_used = budget.left_beside(reserved);
-            if !has_room && has_processes && !is_apart {
+            if !fits && has_processes && !is_apart {
                 budget.skip(Extra::FreshProcess);
             }
-            let own_remote = own.evaluator().remote.as_ref().ok();
-            let compared = own_remote.filter(|_| has_room && !is_apart && !job.context.is_over());
-            let judge = || Ok::<_, Infallible>(self.assessed(own, &job, made, stats, budget));
+            let remote_of_fit = fitted.evaluator().remote.as_ref().ok();
+            let compared = remote_of_fit.filter(|_| fits && !is_apart && !job.context.is_over());
+            let judge = || Ok::<_, Infallible>(self.assessed(fitted, &job, made, stats, budget));
             let (Ok((mut fit, kept)), checks) = match compared {
                 Some(remote) => {
                     let compare = |context: &RunContext<'_>| {
                         let stats = remote.compare_best(&best, job.loss, most_used, context);
-                        stats.as_checks(own.problem().experiments.len() as u64)
+                        stats.as_checks(fitted.problem().experiments.len() as u64)
                     };
                     beside(&job.context, compare, judge)
                 }
@@ -116,7 +116,7 @@ impl Calibration {
             fit.phases = job.phases.borrow_mut().costs(&fit.stats);
             let is_wrong = self.fmu().n_late() > n_late;
             let doubt = match is_wrong {
-                false if own_remote.is_some_and(Remote::is_random) => Some(Finding::warning(
+                false if remote_of_fit.is_some_and(Remote::is_random) => Some(Finding::warning(
                     FindingId::NotReproducible,
                     "FMU",
                     NOT_REPRODUCED,
@@ -140,7 +140,7 @@ impl Calibration {
             stats = fit.stats;
             let model = &self.fmu().description().model_name;
             log::warn!("{model}: evaluations depended on earlier ones, so the fit restarts");
-            job.begin_anew(run.clone(), wants_preflight);
+            job.restart(run.clone(), has_preflight);
         }
     }
 }

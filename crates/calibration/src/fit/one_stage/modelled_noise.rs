@@ -76,7 +76,7 @@ impl ModelledNoise {
         variable: &str,
         model: &ErrorModel,
     ) -> Result<Self, CalibrationError> {
-        let own = Self {
+        let noise = Self {
             variable: variable.to_owned(),
             model: model.clone(),
             a: 0.0,
@@ -85,12 +85,12 @@ impl ModelledNoise {
             series: Vec::new(),
         };
         let (problem, layout) = (calibration.problem(), calibration.residual_layout());
-        let outputs = || layout.outputs.iter().filter(|output| own.is_of(problem, output));
+        let outputs = || layout.outputs.iter().filter(|output| noise.is_of(problem, output));
         let measured: Vec<f64> = outputs().flat_map(|output| output.measured.iter().copied()).collect();
         let [a, b] = model.at_start(&measured);
-        let series = outputs().map(|output| own.series(problem, output, [a, b], None));
+        let series = outputs().map(|output| noise.series(problem, output, [a, b], None));
         let series = series.collect::<Result<_, _>>()?;
-        Ok(Self { a, b, series, ..own })
+        Ok(Self { a, b, series, ..noise })
     }
 
     /// Returns the standard deviations of an output at its simulated values, or at its measured values.

@@ -6,8 +6,8 @@
 use super::modelled_noise::{FEWEST, ModelledNoise, SigmaSeries, rows_of, weight};
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
+use crate::findings::display_text::digits;
 use crate::findings::identifier::FindingId;
-use crate::findings::shown_text::digits;
 use crate::loaded::calibration::Calibration;
 use crate::problem::definition::Problem;
 use crate::problem::error_model::{Coefficient, ErrorModel};
@@ -88,18 +88,18 @@ impl fmt::Display for FitNoise {
             });
         };
         let rounds = if *n_rounds == 1 { "round" } else { "rounds" };
-        let is_estimated = !outputs.is_empty() || models.iter().any(|own| own.model.is_fitted());
+        let is_estimated = !outputs.is_empty() || models.iter().any(|noise| noise.model.is_fitted());
         let source = if is_estimated { "estimated with the parameters" } else { "known (sigma)" };
         write!(f, "{source} in {n_rounds} {rounds}")?;
         for (k, OutputNoise { variable, sd, .. }) in outputs.iter().enumerate() {
             write!(f, ", {}{variable} {}", if k == 0 { "standard deviation " } else { "" }, digits(*sd))?;
         }
-        for own in models {
-            write!(f, ", sigma of {} {}", own.variable, own.model)?;
-            for (name, value) in own.coefficients() {
+        for noise in models {
+            write!(f, ", sigma of {} {}", noise.variable, noise.model)?;
+            for (name, value) in noise.coefficients() {
                 write!(f, ", {name} = {}", digits(value))?;
             }
-            if !own.is_of_residuals {
+            if !noise.is_of_residuals {
                 f.write_str(" (not estimated)")?;
             }
         }
@@ -173,14 +173,15 @@ impl EstimatedNoise {
         estimates: bool,
     ) -> Result<Option<Self>, CalibrationError> {
         let layout = calibration.residual_layout();
-        let is_known = |output: &OutputResiduals| match weight(calibration.problem(), output).error_model() {
-            Some(model) => !model.is_fitted(),
-            None => output.is_noise_known || rule == NoiseRule::Stated,
-        };
-        let mut own = Self {
+        let states_noise =
+            |output: &OutputResiduals| match weight(calibration.problem(), output).error_model() {
+                Some(model) => !model.is_fitted(),
+                None => output.is_noise_known || rule == NoiseRule::Stated,
+            };
+        let mut noise = Self {
             outputs: Vec::new(),
             models: Vec::new(),
-            is_known: layout.outputs.iter().all(is_known),
+            is_known: layout.outputs.iter().all(states_noise),
             n_rounds: 0,
             is_settled: false,
             is_of_all: rule == NoiseRule::Estimated,
@@ -188,18 +189,18 @@ impl EstimatedNoise {
         let problem = calibration.problem();
         for output in &layout.outputs {
             if let Some(model) = weight(problem, output).error_model()
-                && !own.models.iter().any(|known| known.is_of(problem, output))
+                && !noise.models.iter().any(|estimated| estimated.is_of(problem, output))
             {
-                own.models.push(ModelledNoise::first(calibration, &output.variable, model)?);
+                noise.models.push(ModelledNoise::first(calibration, &output.variable, model)?);
             }
         }
         for output in layout.outputs.iter().filter(|_| estimates) {
-            let is_known = own.outputs.iter().any(|known| known.variable == output.variable);
-            if is_known || !own.is_of(problem, output) {
+            let has_estimate = noise.outputs.iter().any(|estimated| estimated.variable == output.variable);
+            if has_estimate || !noise.is_of(problem, output) {
                 continue;
             }
             let same = || layout.outputs.iter().filter(|o| o.variable == output.variable);
-            let same = || same().filter(|o| own.is_of(problem, o));
+            let same = || same().filter(|o| noise.is_of(problem, o));
             let weighted = |o: &OutputResiduals| -> Vec<f64> {
                 o.measured.iter().enumerate().map(|(k, y)| y * base(problem, o, k)).collect()
             };
@@ -214,15 +215,15 @@ impl EstimatedNoise {
             // The median is zero for a constant signal with jumps. A single value gives no estimate.
             let sd = [found, whole, spread, size].into_iter().find(|sd| *sd > least && sd.is_finite());
             let sd = sd.unwrap_or(if least > 0.0 { least } else { 1.0 });
-            own.outputs.push(OutputNoise { variable: output.variable.clone(), sd, is_of_residuals: false });
+            noise.outputs.push(OutputNoise { variable: output.variable.clone(), sd, is_of_residuals: false });
         }
-        let is_fixed = own.outputs.is_empty() && own.models.is_empty();
-        Ok((!is_fixed).then_some(own))
+        let is_fixed = noise.outputs.is_empty() && noise.models.is_empty();
+        Ok((!is_fixed).then_some(noise))
     }
 
     /// True if a part of the noise is estimated from residuals.
     pub(super) fn needs_leverages(&self) -> bool {
-        !self.outputs.is_empty() || self.models.iter().any(|own| own.model.is_fitted())
+        !self.outputs.is_empty() || self.models.iter().any(|noise| noise.model.is_fitted())
     }
 
     /// Returns the next estimate from the residuals of a fit with this estimate and their [`leverages`].
@@ -237,8 +238,8 @@ impl EstimatedNoise {
     ) -> Result<Self, CalibrationError> {
         let (problem, layout) = (calibration.problem(), calibration.residual_layout());
         let mut next = self.clone();
-        for own in &mut next.models {
-            *own = own.next(calibration, residuals, leverages)?;
+        for model in &mut next.models {
+            *model = model.next(calibration, residuals, leverages)?;
         }
         for noise in &mut next.outputs {
             let (mut squares, mut degrees, mut weighted) = (0.0, 0.0, Vec::new());
@@ -281,8 +282,8 @@ impl EstimatedNoise {
     /// Returns the standard deviation that divides the weights of a variable. Returns `None` if the weights
     /// state the noise.
     fn sd(&self, variable: &str, weight: &Weight) -> Option<f64> {
-        let known = self.outputs.iter().find(|known| known.variable == variable);
-        known.filter(|_| self.sd_applies(weight)).map(|known| known.sd)
+        let noise = self.outputs.iter().find(|noise| noise.variable == variable);
+        noise.filter(|_| self.sd_applies(weight)).map(|noise| noise.sd)
     }
 
     /// Returns the estimated standard deviation of the residuals of an output, with the weights of the
@@ -313,12 +314,13 @@ impl EstimatedNoise {
             }
         }
         // Afterwards, because these outputs would otherwise look like those with an estimated deviation.
-        for own in &self.models {
-            for SigmaSeries { experiment, output, sigma, .. } in &own.series {
+        for model in &self.models {
+            for SigmaSeries { experiment, output, sigma, .. } in &model.series {
                 // The indices may come from a file.
-                let known = problem.experiments.get_mut(*experiment).and_then(|e| e.outputs.get_mut(*output));
-                let Some(known) = known else { continue };
-                known.weight = match own.model.is_fitted() {
+                let output =
+                    problem.experiments.get_mut(*experiment).and_then(|e| e.outputs.get_mut(*output));
+                let Some(output) = output else { continue };
+                output.weight = match model.model.is_fitted() {
                     true => Weight::Rows(sigma.iter().map(|sigma| 1.0 / sigma).collect()),
                     false => Sigma::Rows(sigma.clone().into()).into(),
                 };
@@ -339,12 +341,14 @@ impl EstimatedNoise {
 
     /// Replaces the weights of the outputs with an error model by those of the fit.
     pub(super) fn weigh_models(&self, problem: &Problem, layout: &mut ResidualLayout) {
-        for SigmaSeries { experiment, output, sigma, .. } in self.models.iter().flat_map(|own| &own.series) {
-            let is_own = |o: &&mut OutputResiduals| (o.experiment, o.output) == (*experiment, *output);
-            let Some(own) = layout.outputs.iter_mut().find(is_own) else { continue };
-            if let Ok(rows) = rows_of(problem, own) {
+        for SigmaSeries { experiment, output, sigma, .. } in
+            self.models.iter().flat_map(|model| &model.series)
+        {
+            let is_of_series = |o: &&mut OutputResiduals| (o.experiment, o.output) == (*experiment, *output);
+            let Some(residuals) = layout.outputs.iter_mut().find(is_of_series) else { continue };
+            if let Ok(rows) = rows_of(problem, residuals) {
                 let weight = |row: usize| sigma.get(row).map_or(0.0, |sigma| 1.0 / sigma);
-                own.weights = rows.into_iter().map(weight).collect();
+                residuals.weights = rows.into_iter().map(weight).collect();
             }
         }
     }
@@ -357,10 +361,10 @@ impl EstimatedNoise {
     /// Replaces estimated coefficients of error models by their values, for other recordings.
     pub(crate) fn state_models(&self, problem: &mut Problem) {
         for output in problem.experiments.iter_mut().flat_map(|experiment| &mut experiment.outputs) {
-            let is_own = |own: &&ModelledNoise| {
-                own.variable == output.variable && output.weight.error_model() == Some(&own.model)
+            let is_of_output = |model: &&ModelledNoise| {
+                model.variable == output.variable && output.weight.error_model() == Some(&model.model)
             };
-            if let Some(ModelledNoise { a, b, .. }) = self.models.iter().find(is_own) {
+            if let Some(ModelledNoise { a, b, .. }) = self.models.iter().find(is_of_output) {
                 let [constant, proportional] = [*a, *b].map(Coefficient::Stated);
                 output.weight = Sigma::Model(ErrorModel { constant, proportional }).into();
             }
@@ -384,15 +388,15 @@ impl EstimatedNoise {
                 )
             })
             .collect();
-        let start = |own: &&ModelledNoise| !own.is_of_residuals;
-        found.extend(self.models.iter().filter(start).map(|own| {
+        let start = |model: &&ModelledNoise| !model.is_of_residuals;
+        found.extend(self.models.iter().filter(start).map(|model| {
             Finding::warning(
                 FindingId::RoughNoiseEstimate,
-                format!("noise of {}", own.variable),
+                format!("noise of {}", model.variable),
                 format!(
                     "the coefficients of sigma '{}' are not estimated, because there are too few residuals or the search ended early. The \
                      weights of the fit are approximate",
-                    own.model
+                    model.model
                 ),
                 "Write numbers instead of names in sigma",
             )
@@ -472,27 +476,27 @@ pub(super) fn contradictions_of_stated(
 const SIGNIFICANT: f64 = 0.01;
 
 /// Returns the finding about residuals that contradict known noise, by the chi-square test of their sum of
-/// squares. `n_free` is the number of fitted parameters, and `is_known` is true if the noise of all outputs
-/// is known. Priors take up to `n_free` degrees of freedom less than the parameters, so the test with priors
-/// uses the limit that favours the known noise.
-pub(super) fn contradiction_of_known(
+/// squares. `n_free` is the number of fitted parameters, and `is_noise_known` is true if the noise of all
+/// outputs is known. Priors take up to `n_free` degrees of freedom less than the parameters, so the test with
+/// priors uses the limit that favours the known noise.
+pub(super) fn contradiction_of_known_noise(
     layout: &ResidualLayout,
     residuals: &[f64],
     n_free: usize,
-    is_known: bool,
+    is_noise_known: bool,
 ) -> Option<Finding> {
     let rows = |output: &OutputResiduals| output.noisy_rows().collect::<Vec<usize>>();
-    let outputs = || layout.outputs.iter().filter(|output| is_known || output.is_noise_known);
-    let known: Vec<usize> = outputs().flat_map(rows).collect();
+    let outputs = || layout.outputs.iter().filter(|output| is_noise_known || output.is_noise_known);
+    let noisy: Vec<usize> = outputs().flat_map(rows).collect();
     let n_all = layout.outputs.iter().flat_map(rows).count();
-    let n = known.len() as f64;
+    let n = noisy.len() as f64;
     // Each output loses degrees of freedom in proportion to its measurements.
     let least = n - n_free as f64 * n / n_all as f64;
     let most = if layout.priors.is_empty() { least } else { n };
-    if known.is_empty() || least <= 0.0 {
+    if noisy.is_empty() || least <= 0.0 {
         return None;
     }
-    let chi_square: f64 = known.iter().map(|i| residuals[*i] * residuals[*i]).sum();
+    let chi_square: f64 = noisy.iter().map(|i| residuals[*i] * residuals[*i]).sum();
     let is_larger = chi_square > most;
     let degrees = if is_larger { most } else { least };
     let of = ChiSquared::new(degrees).ok()?;

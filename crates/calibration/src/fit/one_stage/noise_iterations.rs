@@ -21,7 +21,7 @@ use ode::Stats;
 pub(crate) struct FinalSearch {
     /// Calibration with the weights and the tolerance of the fit. `None` if both are
     /// unchanged.
-    pub(crate) own: Option<Calibration>,
+    pub(crate) fitted_calibration: Option<Calibration>,
     pub(crate) searched: SearchResult,
     pub(crate) noise: Option<FitNoise>,
     pub(crate) tolerance: Option<ChosenTolerance>,
@@ -30,23 +30,23 @@ pub(crate) struct FinalSearch {
 impl FinalSearch {
     /// Creates the result of a search with the weights and the tolerance of the original calibration.
     pub(crate) fn of(searched: SearchResult) -> Self {
-        Self { own: None, searched, noise: None, tolerance: None }
+        Self { fitted_calibration: None, searched, noise: None, tolerance: None }
     }
 
     /// Returns the budget of simulations after the search.
     pub(crate) fn budget(&self) -> Budget {
-        let SearchResult { report, stuck, .. } = &self.searched;
+        let SearchResult { report, inactive, .. } = &self.searched;
         let mut budget = Budget::after(report.n_evaluations);
-        budget.take(stuck.n_checks as f64);
+        budget.take(inactive.n_checks as f64);
         budget
     }
 
     /// Returns the result of the search, with its residuals if they are known.
     pub(super) fn best(&self, n_residuals: usize, is_sum_of_squares: bool) -> BestPoint {
         let SearchResult { report, residuals, .. } = &self.searched;
-        let known = residuals.at(&report.x).map(<[f64]>::to_vec);
-        let cost = (is_sum_of_squares && known.is_none()).then_some(report.fun);
-        BestPoint { x: report.x.clone(), n_residuals, residuals: known, cost }
+        let residuals = residuals.at(&report.x).map(<[f64]>::to_vec);
+        let cost = (is_sum_of_squares && residuals.is_none()).then_some(report.fun);
+        BestPoint { x: report.x.clone(), n_residuals, residuals: residuals, cost }
     }
 }
 
@@ -57,9 +57,9 @@ pub(crate) fn checkpoint_of(fit: &Checkpoint, part: &str, is_first: bool) -> Che
     let mut path = fit.path.clone().into_os_string();
     path.push(part);
     let resume = if !is_first && fit.resume == Resume::Require { Resume::Auto } else { fit.resume };
-    let mut own = fit.clone().resume(resume);
-    own.path = path.into();
-    own
+    let mut checkpoint_of_part = fit.clone().resume(resume);
+    checkpoint_of_part.path = path.into();
+    checkpoint_of_part
 }
 
 /// Returns the termination of a fit whose last part found nothing. Returns `None` if it is an error.
@@ -85,8 +85,8 @@ pub(crate) fn add_earlier(report: &mut Report, before: &Report) {
     report.n_speculative += before.n_speculative;
     report.seconds += before.seconds;
     for (reason, count) in &before.failures {
-        match report.failures.iter_mut().find(|(known, _)| known == reason) {
-            Some((_, known)) => *known += count,
+        match report.failures.iter_mut().find(|(counted_reason, _)| counted_reason == reason) {
+            Some((_, sum)) => *sum += count,
             None => report.failures.push((reason.clone(), *count)),
         }
     }
@@ -109,11 +109,11 @@ impl Turns {
     /// search or the error is not a termination.
     fn before(&mut self, error: &CalibrationError, job: &Job<'_>) -> Option<(Calibration, SearchResult)> {
         let termination = ended_by(error)?;
-        let (own, mut before) = self.last.take()?;
+        let (calibration, mut before) = self.last.take()?;
         let is_late = job.context.is_late() && !job.context.is_cancelled();
         end_early(&mut before.report, if is_late { Termination::MaxTime } else { termination });
         self.noise.n_rounds -= 1;
-        Some((own, before))
+        Some((calibration, before))
     }
 
     /// Adds the counts and the findings of the previous search to a search.
@@ -127,7 +127,7 @@ impl Turns {
                 );
             }
             add_earlier(report, &before.report);
-            searched.stuck.n_checks += before.stuck.n_checks;
+            searched.inactive.n_checks += before.inactive.n_checks;
             searched.preflight = before.preflight;
         }
         self.raised.append(&mut searched.raised);
@@ -136,11 +136,11 @@ impl Turns {
     /// True if the next estimate equals the current one, so that no further search is needed.
     fn is_settled_by(&mut self, next: &EstimatedNoise) -> bool {
         self.noise.is_settled = next.is_close(&self.noise);
-        for (own, next) in self.noise.outputs.iter_mut().zip(&next.outputs) {
-            own.is_of_residuals |= self.noise.is_settled && next.is_of_residuals;
+        for (previous, next) in self.noise.outputs.iter_mut().zip(&next.outputs) {
+            previous.is_of_residuals |= self.noise.is_settled && next.is_of_residuals;
         }
-        for (own, next) in self.noise.models.iter_mut().zip(&next.models) {
-            own.is_of_residuals |= self.noise.is_settled && next.is_of_residuals;
+        for (previous, next) in self.noise.models.iter_mut().zip(&next.models) {
+            previous.is_of_residuals |= self.noise.is_settled && next.is_of_residuals;
         }
         self.noise.is_settled
     }
@@ -165,14 +165,14 @@ impl Job<'_> {
     /// Prepares this job for the round after a search.
     fn go_on_from(&mut self, searched: &SearchResult, checkpoint: Option<&Checkpoint>, round: usize) {
         self.start.clone_from(&searched.report.x);
-        self.wants_preflight = false;
+        self.has_preflight = false;
         self.run.tolerances = searched.tolerances;
         self.run.seed = self.run.seed.or(searched.report.seed);
         // Costs with other weights would only affect the start.
-        self.run.known.clear();
+        self.run.evaluated.clear();
         self.run.checkpoint = checkpoint.map(|checkpoint| {
-            let own = checkpoint_of(checkpoint, &format!(".round{round}"), false);
-            if searched.report.resumed.is_none() { own.resume(Resume::Never) } else { own }
+            let checkpoint = checkpoint_of(checkpoint, &format!(".round{round}"), false);
+            if searched.report.resumed.is_none() { checkpoint.resume(Resume::Never) } else { checkpoint }
         });
     }
 }
@@ -187,9 +187,9 @@ impl Calibration {
     /// Derives a calibration with other weights or a different tolerance. Warnings of this calibration are
     /// not repeated.
     fn derived_for_fit(&self, problem: Problem) -> Result<Self, CalibrationError> {
-        let mut own = self.derived(problem)?;
-        own.keep_warnings(self);
-        Ok(own)
+        let mut derived = self.derived(problem)?;
+        derived.keep_warnings(self);
+        Ok(derived)
     }
 
     /// Returns a copy with another relative tolerance. Returns `None` if this calibration already uses it.
@@ -220,9 +220,9 @@ impl Calibration {
     /// Returns a copy with the weights and the tolerance of a fit. Returns `None` if this calibration already
     /// has both.
     pub(crate) fn of_fit(&self, fit: &super::Fit) -> Result<Option<Self>, CalibrationError> {
-        let tolerant = self.with_tolerance(fit.tolerance.as_ref())?;
-        let weighed = tolerant.as_ref().unwrap_or(self).with_noise(fit.noise.as_ref())?;
-        Ok(weighed.or(tolerant))
+        let with_tolerance = self.with_tolerance(fit.tolerance.as_ref())?;
+        let weighed = with_tolerance.as_ref().unwrap_or(self).with_noise(fit.noise.as_ref())?;
+        Ok(weighed.or(with_tolerance))
     }
 
     /// Computes with the weights and the tolerance of a fit. Worker processes keep their working folder and
@@ -240,33 +240,33 @@ impl Calibration {
     /// Runs all searches of a fit, including the steps before them.
     pub(super) fn made(&self, job: &mut Job<'_>, stats: &mut Stats) -> Result<FinalSearch, CalibrationError> {
         let tolerance = if job.is_part { None } else { self.choose_tolerance(job) };
-        let tolerant = self.with_tolerance(tolerance.as_ref())?;
-        let this = tolerant.as_ref().unwrap_or(self);
+        let with_tolerance = self.with_tolerance(tolerance.as_ref())?;
+        let calibration = with_tolerance.as_ref().unwrap_or(self);
         let rule = job.noise;
         let estimates = rule == NoiseRule::Estimated
             || (rule == NoiseRule::Auto
-                && this.has_priors()
+                && calibration.has_priors()
                 && job.objective.is_sum_of_squares()
                 && job.loss.is_linear());
-        let mut made = match EstimatedNoise::first(this, rule, estimates)? {
-            Some(first) => this.take_turns(first, job, stats)?,
+        let mut made = match EstimatedNoise::first(calibration, rule, estimates)? {
+            Some(first) => calibration.take_turns(first, job, stats)?,
             None => {
-                let searched = this.search(job, stats)?;
-                FinalSearch { noise: this.known_or_stated(job), ..FinalSearch::of(searched) }
+                let searched = calibration.search(job, stats)?;
+                FinalSearch { noise: calibration.known_or_stated_noise(job), ..FinalSearch::of(searched) }
             }
         };
         made.tolerance = tolerance;
-        made.own = made.own.or(tolerant);
+        made.fitted_calibration = made.fitted_calibration.or(with_tolerance);
         made.searched.raised.splice(0..0, tolerance.and_then(|chosen| chosen.finding()));
         Ok(made)
     }
 
     /// Returns the source of noise that is not estimated. Returns `None` if nothing depends on it.
-    fn known_or_stated(&self, job: &Job<'_>) -> Option<FitNoise> {
-        let is_known = job.noise == NoiseRule::Stated
+    fn known_or_stated_noise(&self, job: &Job<'_>) -> Option<FitNoise> {
+        let is_noise_known = job.noise == NoiseRule::Stated
             || self.residual_layout().outputs.iter().all(|output| output.is_noise_known);
         match job.objective.is_sum_of_squares() {
-            true if is_known && job.loss.is_linear() => Some(FitNoise::Known),
+            true if is_noise_known && job.loss.is_linear() => Some(FitNoise::Known),
             true if self.has_priors() => Some(FitNoise::Stated),
             _ => None,
         }
@@ -285,19 +285,19 @@ impl Calibration {
     ) -> Result<FinalSearch, CalibrationError> {
         let (begun, checkpoint) = (job.start.clone(), job.run.checkpoint.clone());
         let mut turns = Turns { noise, last: None, raised: Vec::new(), at_start: None };
-        let (own, mut searched) = loop {
+        let (fitted, mut searched) = loop {
             turns.noise.n_rounds += 1;
             let mut problem = self.problem().clone();
             turns.noise.weigh(&mut problem)?;
-            let own = self.derived_for_fit(problem)?;
-            let mut searched = match own.search(job, stats) {
+            let fitted = self.derived_for_fit(problem)?;
+            let mut searched = match fitted.search(job, stats) {
                 Ok(searched) => searched,
                 Err(error) => match turns.before(&error, job) {
                     Some(before) => break before,
                     None => {
-                        let known = job.at_start.take();
+                        let at_start = job.at_start.take();
                         *job.at_start.borrow_mut() =
-                            known.map(|r| self.residual_layout().reweighed(&r, own.residual_layout()));
+                            at_start.map(|r| self.residual_layout().reweighed(&r, fitted.residual_layout()));
                         return Err(error);
                     }
                 },
@@ -305,16 +305,17 @@ impl Calibration {
             turns.add_to(&mut searched);
             // The estimate of the noise counts as part of the search.
             job.enter(FitPhase::Search, stats);
-            let (x, known) = (&searched.report.x, &searched.residuals);
-            let ends = own.end_residuals(x, known, job.loss, &job.context, stats);
+            let (x, residuals) = (&searched.report.x, &searched.residuals);
+            let ends = fitted.end_residuals(x, residuals, job.loss, &job.context, stats);
             if turns.noise.n_rounds == 1 {
-                turns.at_start = (ends.start)
-                    .map(|start| self.residual_layout().reweighed(&start.residuals, own.residual_layout()));
+                turns.at_start = (ends.start).map(|start| {
+                    self.residual_layout().reweighed(&start.residuals, fitted.residual_layout())
+                });
             }
             let next = match ends.end.filter(|_| searched.report.termination.cause() == Cause::Search) {
                 Some(end) => {
                     let leverages = match turns.noise.needs_leverages() {
-                        true => own.leverages_at(&searched, &end.residuals, job, stats)?,
+                        true => fitted.leverages_at(&searched, &end.residuals, job, stats)?,
                         false => Some(Vec::new()),
                     };
                     let next = leverages.map(|leverages| turns.noise.next(self, &end.residuals, &leverages));
@@ -322,24 +323,24 @@ impl Calibration {
                 }
                 None => None,
             };
-            let Some(next) = next else { break (own, searched) };
+            let Some(next) = next else { break (fitted, searched) };
             if turns.is_settled_by(&next) || turns.noise.n_rounds == MOST_ROUNDS {
-                break (own, searched);
+                break (fitted, searched);
             }
             job.spent = UsedLimits::of(&searched.report);
             if let Some(termination) = job.exhausted() {
                 end_early(&mut searched.report, termination);
-                break (own, searched);
+                break (fitted, searched);
             }
             job.go_on_from(&searched, checkpoint.as_ref(), turns.noise.n_rounds + 1);
             turns.noise = EstimatedNoise { n_rounds: turns.noise.n_rounds, ..next };
-            turns.last = Some((own, searched));
+            turns.last = Some((fitted, searched));
         };
         let Turns { noise, raised, at_start, .. } = turns;
         searched.raised = raised;
         searched.raised.extend(noise.findings().into_iter().map(|finding| finding.of(Origin::Residuals)));
         if noise.n_rounds > 1 {
-            let at_start = at_start.map(|r| own.residual_layout().reweighed(&r, self.residual_layout()));
+            let at_start = at_start.map(|r| fitted.residual_layout().reweighed(&r, self.residual_layout()));
             let x = &searched.report.x;
             let kept = KeptResiduals::new(&begun, at_start);
             searched.residuals = kept.with(x, searched.residuals.at(x));
@@ -348,7 +349,12 @@ impl Calibration {
         // The last of several searches started from another point.
         let in_trace = start_cost_in(&searched.report, &job.start);
         searched.start_cost = in_trace.or_else(|| searched.residuals.at_start().map(sum_of_squares));
-        Ok(FinalSearch { own: Some(own), searched, noise: Some(FitNoise::Estimated(noise)), tolerance: None })
+        Ok(FinalSearch {
+            fitted_calibration: Some(fitted),
+            searched,
+            noise: Some(FitNoise::Estimated(noise)),
+            tolerance: None,
+        })
     }
 
     /// Returns the leverages of the residuals at the end of a search. Returns `None` if the run was
@@ -381,15 +387,19 @@ impl Calibration {
         let (report, n) = (&searched.report, searched.report.x.len());
         let is_free = |i: usize, p: &Parameter| {
             let is_held = job.held.contains(&i) || p.is_fixed() || p.lower() == p.upper();
-            let is_at_bound = searched.stuck.at_bound.iter().any(|(k, _)| *k == i);
+            let is_at_bound = searched.inactive.at_bound.iter().any(|(k, _)| *k == i);
             !is_held && !is_at_bound
         };
         let free: Vec<usize> =
             (self.parameters().iter().enumerate()).filter(|(i, p)| is_free(*i, p)).map(|(i, _)| i).collect();
         let mut jacobian = vec![0.0; residuals.len() * n];
-        if let Some(known) = report.jacobian.as_ref().filter(|known| known.len() == jacobian.len()) {
-            for (row, known) in jacobian.chunks_exact_mut(n).zip(known.chunks_exact(n)) {
-                free.iter().for_each(|&i| row[i] = known[i]);
+        if let Some(jacobian_of_search) =
+            report.jacobian.as_ref().filter(|jacobian_of_search| jacobian_of_search.len() == jacobian.len())
+        {
+            for (row, jacobian_of_search) in
+                jacobian.chunks_exact_mut(n).zip(jacobian_of_search.chunks_exact(n))
+            {
+                free.iter().for_each(|&i| row[i] = jacobian_of_search[i]);
             }
             return Ok(Some(jacobian));
         }

@@ -110,22 +110,22 @@ impl FitOptions<'_> {
     /// # Errors
     /// Returns an error if an option does not exist or its value is invalid.
     pub fn from_record(record: Record, n: usize) -> Result<Self, dfo::Error> {
-        let (own, of_run) = read_part::<FitRecord>(record, "option of a fit")?;
+        let (of_fit, of_run) = read_part::<FitRecord>(record, "option of a fit")?;
         let mut options = Self {
-            loss: RobustLoss::named(own.loss, own.f_scale)?.unwrap_or_default(),
-            noise: own.noise,
-            preflight: own.preflight,
+            loss: RobustLoss::named(of_fit.loss, of_fit.f_scale)?.unwrap_or_default(),
+            noise: of_fit.noise,
+            preflight: of_fit.preflight,
             ..Self::default()
         };
-        if let Some(name) = own.objective {
+        if let Some(name) = of_fit.objective {
             let requested = name.to_ascii_lowercase().replace('_', "-");
             options.objective = CostKind::of_name(&requested).ok_or_else(|| {
-                let known: Vec<CostKind> = CostKind::named().collect();
-                let known: Vec<&str> = known.iter().map(CostKind::name).collect();
-                RecordError::unknown("objective", &name, &known)
+                let available: Vec<CostKind> = CostKind::named().collect();
+                let available: Vec<&str> = available.iter().map(CostKind::name).collect();
+                RecordError::unknown("objective", &name, &available)
             })?;
         }
-        if let Some(covariance) = own.covariance {
+        if let Some(covariance) = of_fit.covariance {
             options.uncertainty =
                 covariance.map(|estimator| UncertaintyOptions { estimator, ..UncertaintyOptions::default() });
         }
@@ -139,7 +139,7 @@ impl FitOptions<'_> {
     /// # Errors
     /// Returns an error if the options of the method cannot be serialised.
     pub fn record(&self) -> Result<Record, dfo::Error> {
-        let own = FitRecord {
+        let of_fit = FitRecord {
             objective: Some(self.objective.name().to_owned()),
             loss: Some(self.loss.kind()),
             f_scale: (!self.loss.is_linear()).then(|| self.loss.scale()),
@@ -148,10 +148,10 @@ impl FitOptions<'_> {
             covariance: Some(self.uncertainty.as_ref().map(|uncertainty| uncertainty.estimator)),
         };
         let mut record = RequestedRun::record(&self.run)?;
-        if let Value::Record(own) = Value::of(&own)? {
+        if let Value::Record(of_fit) = Value::of(&of_fit)? {
             // "No estimator" skips the uncertainty, which is not the default.
-            let said = |name: &str, value: &Value| name == "covariance" || *value != Value::Nothing;
-            record.extend(own.into_iter().filter(|(name, value)| said(name, value)));
+            let is_listed = |name: &str, value: &Value| name == "covariance" || *value != Value::Nothing;
+            record.extend(of_fit.into_iter().filter(|(name, value)| is_listed(name, value)));
         }
         Ok(record)
     }
@@ -175,13 +175,13 @@ pub struct FitRecord {
     /// True to check the start before the search.
     preflight: bool,
     /// Estimator of the covariance. If null, the uncertainty is not estimated.
-    #[serde(deserialize_with = "said")]
+    #[serde(deserialize_with = "present")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<Estimator>"))]
     covariance: Option<Option<Estimator>>,
 }
 
 /// Deserializes a value that is present, even if it is `None`.
-fn said<'de, T: Deserialize<'de>, D: Deserializer<'de>>(deserializer: D) -> Result<Option<T>, D::Error> {
+fn present<'de, T: Deserialize<'de>, D: Deserializer<'de>>(deserializer: D) -> Result<Option<T>, D::Error> {
     T::deserialize(deserializer).map(Some)
 }
 

@@ -2,17 +2,17 @@
 
 use super::noise::FitNoise;
 use super::tolerance::ChosenTolerance;
+use crate::findings::display_text::digits;
 use crate::findings::finding::{Finding, Origin, Severity, sort};
 use crate::findings::identifier::FindingId;
-use crate::findings::shown_text::digits;
 use crate::fit::output_fit::OutputFit;
 use crate::fit::phase::PhaseCost;
 use crate::loaded::calibration::Calibration;
 use crate::problem::prior::Prior;
 use crate::problem::residual_layout::ResidualLayout;
+use crate::uncertainty::inactive_parameters::BoundSide;
 use crate::uncertainty::preflight::Preflight;
 use crate::uncertainty::result::Uncertainty;
-use crate::uncertainty::stuck_parameters::BoundSide;
 use base::Number;
 use dfo::{Record, Report, Termination};
 use ode::{Method, Stats};
@@ -125,19 +125,19 @@ impl Fit {
     /// True if the search succeeded (see [`Report::is_success`](dfo::Report::is_success)) and the uncertainty
     /// found no step of all parameters together that lowers the cost further.
     pub fn is_success(&self) -> bool {
-        self.report.is_success() && self.left_to_gain() == 0.0
+        self.report.is_success() && self.achievable_decrease() == 0.0
     }
 
     /// Returns the part of the cost that one step of least squares from the result removes, if it exceeds the
     /// noise.
-    fn left_to_gain(&self) -> f64 {
-        self.uncertainty.as_ref().map_or(0.0, |uncertainty| uncertainty.left_to_gain)
+    fn achievable_decrease(&self) -> f64 {
+        self.uncertainty.as_ref().map_or(0.0, |uncertainty| uncertainty.achievable_decrease)
     }
 
     /// Marks the report as not converged if the search ended before its minimum. Not for a single stage,
     /// because its fixed parameters are free in other stages.
     pub(crate) fn note_end_before_minimum(&mut self) {
-        let left = self.left_to_gain();
+        let left = self.achievable_decrease();
         if left > 0.0 && matches!(self.report.termination, Termination::Converged | Termination::Noise) {
             self.report.message = format!(
                 "not converged: one more least-squares step removes {} % of the cost; {}",
@@ -203,11 +203,11 @@ impl Fit {
             Finding::warning(FindingId::ParameterWithoutEffect, &names[*i], sentence, remedy)
                 .of(Origin::Search)
         };
-        let is_said = |i: &&usize| {
+        let is_reported = |i: &&usize| {
             !self.uncertainty.as_ref().is_some_and(|uncertainty| uncertainty.undetermined.contains(i))
         };
         let mut all: Vec<Finding> = self.at_bound.iter().map(at_bound).collect();
-        all.extend(self.without_effect.iter().filter(is_said).map(without_effect));
+        all.extend(self.without_effect.iter().filter(is_reported).map(without_effect));
         all.extend(self.setup_findings.iter().cloned());
         all.extend(self.open_minima());
         all.extend(self.lost_answers());

@@ -5,9 +5,9 @@ use super::options::{FitObserver, FitOptions};
 use super::simulation_executor::SimulationExecutor;
 use crate::cost::residual::sum_of_squares;
 use crate::error::CalibrationError;
+use crate::findings::display_text::digits;
 use crate::findings::finding::Finding;
 use crate::findings::identifier::FindingId;
-use crate::findings::shown_text::digits;
 use crate::fit::live::{LiveFit, lock};
 use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::{FitPhase, Phases};
@@ -16,14 +16,14 @@ use crate::loaded::calibration::Calibration;
 use crate::loaded::effort::Effort;
 use crate::problem::objective::CostKind;
 use crate::problem::parameter::{Parameter, Scale};
+use crate::uncertainty::inactive_parameters::{EndedRun, InactiveParameters};
 use crate::uncertainty::preflight::{Preflight, PreflightOptions};
 use crate::uncertainty::result::UncertaintyOptions;
-use crate::uncertainty::stuck_parameters::{EndedRun, StuckParameters};
 use base::{Number, RunContext};
 use dfo::{
-    Answer, AnyMethod, ByRef, CutoffUse, Evaluator, NothingFound, Objective, Outcome, ParameterKind,
-    PollResult, ProblemClass, Progress, Query, Record, Report, Resume, RobustLoss, RunOptions, Search,
-    Termination, ToleranceMeasure, Tolerances, Trace, Wait, Want,
+    Answer, AnyMethod, ByRef, CutoffUse, EvaluationKind, Evaluator, NothingFound, Objective, Outcome,
+    ParameterKind, PollResult, ProblemClass, Progress, Query, Record, Report, Resume, RobustLoss, RunOptions,
+    Search, Termination, ToleranceMeasure, Tolerances, Trace, Wait,
 };
 use ode::Stats;
 use std::cell::RefCell;
@@ -51,7 +51,7 @@ impl Counted<'_> {
     /// Returns the query for the simulations, which always requests residuals.
     fn requested<'q>(&self, query: &Query<'q>) -> Query<'q> {
         let mut query = *query;
-        query.want = Want::Residuals;
+        query.kind = EvaluationKind::Residuals;
         if !self.cutoffs {
             query.cutoff = f64::INFINITY;
         }
@@ -71,20 +71,20 @@ impl Counted<'_> {
     }
 
     /// Converts the residuals at a point to the quantity to minimise.
-    fn finish(&self, x: &[f64], wanted: Want, answer: &mut Answer) {
-        let mut own = Vec::new();
+    fn finish(&self, x: &[f64], wanted: EvaluationKind, answer: &mut Answer) {
+        let mut custom_residuals = Vec::new();
         if let Some(sum) = answer.outcome.value() {
             // No lock is held here because a user-defined function may be slow.
             let layout = self.calibration.residual_layout();
-            answer.outcome = self.kind.outcome(layout, sum, &answer.residuals, &mut own);
+            answer.outcome = self.kind.outcome(layout, sum, &answer.residuals, &mut custom_residuals);
             if let Some(cost) = answer.outcome.value() {
                 lock(&self.kept).note(x, cost, &answer.residuals);
             }
             if !self.kind.is_sum_of_squares() {
-                answer.residuals = own;
+                answer.residuals = custom_residuals;
             }
         }
-        if wanted == Want::Cost {
+        if wanted == EvaluationKind::Cost {
             answer.residuals.clear();
         }
     }
@@ -98,7 +98,7 @@ impl Objective for Counted<'_> {
             self.calibration.evaluate_counted(x, &self.requested(query), self.loss, answer, &mut stats);
             self.count(stats);
         }
-        self.finish(x, query.want, answer);
+        self.finish(x, query.kind, answer);
     }
 
     fn uses_cutoff(&self) -> bool {
@@ -118,36 +118,36 @@ impl Objective for Counted<'_> {
 struct OnEngine<'a, 'e> {
     counted: &'a Counted<'a>,
     engine: &'a mut (dyn SimulationExecutor + 'e),
-    under_way: HashMap<u64, (Vec<f64>, Want)>,
+    under_way: HashMap<u64, (Vec<f64>, EvaluationKind)>,
     /// Points with known answers.
-    known: VecDeque<(u64, Answer)>,
+    answered: VecDeque<(u64, Answer)>,
 }
 
 impl Evaluator for OnEngine<'_, '_> {
     fn submit(&mut self, x: &[f64], query: Query<'static>) {
         let mut answer = Answer::default();
         if self.counted.know(x, &mut answer) {
-            self.counted.finish(x, query.want, &mut answer);
-            self.known.push_back((query.id, answer));
+            self.counted.finish(x, query.kind, &mut answer);
+            self.answered.push_back((query.id, answer));
             return;
         }
-        self.under_way.insert(query.id, (x.to_vec(), query.want));
+        self.under_way.insert(query.id, (x.to_vec(), query.kind));
         self.counted.live.iter().for_each(|live| live.add(query.id, x));
         self.engine.submit(x, self.counted.requested(&query));
     }
 
     fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> PollResult {
-        if let Some((id, known)) = self.known.pop_front() {
-            *answer = known;
+        if let Some((id, answered)) = self.answered.pop_front() {
+            *answer = answered;
             return PollResult::Answered(id);
         }
         let polled = self.engine.poll(wait, answer);
         self.counted.count(self.engine.take_stats());
         if let PollResult::Answered(id) = polled
-            && let Some((x, want)) = self.under_way.remove(&id)
+            && let Some((x, kind)) = self.under_way.remove(&id)
         {
             self.counted.live.iter().for_each(|live| live.remove(id));
-            self.counted.finish(&x, want, answer);
+            self.counted.finish(&x, kind, answer);
         }
         polled
     }
@@ -209,7 +209,7 @@ pub(crate) struct Job<'a> {
     pub(crate) objective: CostKind,
     pub(crate) loss: RobustLoss,
     pub(crate) noise: NoiseRule,
-    pub(crate) wants_preflight: bool,
+    pub(crate) has_preflight: bool,
     pub(crate) uncertainty: Option<UncertaintyOptions>,
     pub(crate) observer: RefCell<Option<Box<FitObserver<'a>>>>,
     pub(crate) engine: Option<Rc<RefCell<dyn SimulationExecutor>>>,
@@ -247,13 +247,13 @@ impl<'a> Job<'a> {
                     .to_owned(),
             ));
         }
-        let known = calibration.residual_layout().outputs.iter().find(|output| output.is_noise_known);
-        if let Some(known) = known
+        let output = calibration.residual_layout().outputs.iter().find(|output| output.is_noise_known);
+        if let Some(output) = output
             && (options.noise == NoiseRule::Estimated || options.objective.is_likelihood())
         {
             return Err(CalibrationError::Setup(format!(
                 "the noise of '{}' is known (sigma), but the fit was asked to estimate it. Use the sum of squares with noise 'auto', or omit sigma",
-                known.variable
+                output.variable
             )));
         }
         let weights = calibration.problem().experiments.iter().flat_map(|e| &e.outputs);
@@ -285,7 +285,7 @@ impl<'a> Job<'a> {
             // The loss applies to outliers of measurements, not to priors.
             loss: options.loss.sparing(calibration.residual_layout().priors.len()),
             noise: options.noise,
-            wants_preflight: options.preflight,
+            has_preflight: options.preflight,
             uncertainty: options.uncertainty,
             observer: RefCell::new(options.observer),
             engine: options.engine,
@@ -302,10 +302,10 @@ impl<'a> Job<'a> {
 impl Job<'_> {
     /// Resets the job for a restart with another way of resetting the model. Stored results, of this fit
     /// or of an earlier one, are ignored because they may depend on previous evaluations.
-    pub(super) fn begin_anew(&mut self, run: RunOptions<AnyMethod>, wants_preflight: bool) {
-        (self.run, self.wants_preflight) = (run, wants_preflight);
+    pub(super) fn restart(&mut self, run: RunOptions<AnyMethod>, has_preflight: bool) {
+        (self.run, self.has_preflight) = (run, has_preflight);
         self.run.checkpoint = self.run.checkpoint.take().map(|checkpoint| checkpoint.resume(Resume::Never));
-        self.run.known.iter_mut().for_each(|known| known.problem = None);
+        self.run.evaluated.iter_mut().for_each(|point| point.problem = None);
         self.spent = UsedLimits::default();
     }
 
@@ -328,7 +328,7 @@ impl Job<'_> {
 /// Result of the search of a fit.
 pub(crate) struct SearchResult {
     pub(crate) report: Report,
-    pub(crate) stuck: StuckParameters,
+    pub(crate) inactive: InactiveParameters,
     pub(crate) residuals: KeptResiduals,
     /// Cost at the start, if an evaluation of the fit computed it.
     pub(crate) start_cost: Option<f64>,
@@ -367,7 +367,7 @@ impl Calibration {
         job.enter(FitPhase::ModelTest, stats);
         self.prepare()?;
         let mut run = self.run_of_search(job);
-        let preflight = job.wants_preflight.then(|| {
+        let preflight = job.has_preflight.then(|| {
             job.enter(FitPhase::Preflight, stats);
             let (workers, loss) = (run.workers, job.loss);
             let options = PreflightOptions { start: Some(start.clone()), workers, loss };
@@ -377,17 +377,17 @@ impl Calibration {
         let raised: Vec<Finding> =
             preflight.iter().filter_map(|found| raise_f_tol(&mut run.tolerances, found)).collect();
         job.enter(FitPhase::Search, stats);
-        if let Some(known) = &at_start {
+        if let Some(at_start) = &at_start {
             // This simulation is the first evaluation of the search.
             let effort = Effort::of(
-                &known.stats,
-                Duration::try_from_secs_f64(known.stats.seconds.get()).unwrap_or_default(),
+                &at_start.stats,
+                Duration::try_from_secs_f64(at_start.stats.seconds.get()).unwrap_or_default(),
             );
             job.phases.borrow_mut().move_part(effort, FitPhase::Preflight, FitPhase::Search);
         }
-        let known = at_start.take().map(|known| known.residuals);
-        job.at_start.borrow_mut().clone_from(&known);
-        let (report, residuals) = self.run_once(job, &run, known, stats)?;
+        let at_start = at_start.take().map(|at_start| at_start.residuals);
+        job.at_start.borrow_mut().clone_from(&at_start);
+        let (report, residuals) = self.run_once(job, &run, at_start, stats)?;
         job.enter(FitPhase::Checks, stats);
         let ended = EndedRun {
             start,
@@ -398,11 +398,11 @@ impl Calibration {
             has_errors: job.has_uncertainty(),
         };
         let mut budget = Budget::after(report.n_evaluations);
-        let stuck = self.stuck_parameters(&ended, &mut budget, context, stats);
+        let inactive = self.inactive_parameters(&ended, &mut budget, context, stats);
         Ok(SearchResult {
             start_cost: start_cost_in(&report, start),
             report,
-            stuck,
+            inactive,
             residuals,
             preflight,
             tolerances: run.tolerances,
@@ -472,8 +472,8 @@ impl Calibration {
         let search = match &mut engine {
             Some(engine) => {
                 engine.begin(self, *loss);
-                let (under_way, known) = (HashMap::new(), VecDeque::new());
-                let on_engine = OnEngine { counted: &counted, engine: &mut **engine, under_way, known };
+                let (under_way, answered) = (HashMap::new(), VecDeque::new());
+                let on_engine = OnEngine { counted: &counted, engine: &mut **engine, under_way, answered };
                 dfo::minimize_by(on_engine).with_residuals(counted.has_residuals()).loss(*loss)
             }
             None => dfo::minimize(ByRef(&counted)),
@@ -484,7 +484,7 @@ impl Calibration {
             .map_err(|e| self.name_parameter(e))?
             .transforms(&transforms)
             .kinds(&kinds)
-            .known_scales(&sizes)
+            .optional_scales(&sizes)
             .spent(context.elapsed())
             .options(run.clone());
         if observer.is_some() || live.is_some() {
@@ -538,9 +538,9 @@ impl Calibration {
             job.context.elapsed().as_secs_f64(),
         );
         let residuals = KeptResiduals::new(&job.start, job.at_start.take());
-        if let Some(known) = residuals.at_start() {
-            let (layout, sum) = (self.residual_layout(), sum_of_squares(known));
-            let outcome = job.objective.outcome(layout, sum, known, &mut Vec::new());
+        if let Some(residuals) = residuals.at_start() {
+            let (layout, sum) = (self.residual_layout(), sum_of_squares(residuals));
+            let outcome = job.objective.outcome(layout, sum, residuals, &mut Vec::new());
             report.fun = outcome.value().unwrap_or(f64::NAN);
         }
         report.message = format!(
@@ -552,7 +552,7 @@ impl Calibration {
         Ok(SearchResult {
             start_cost: start_cost_in(&report, &job.start),
             report,
-            stuck: StuckParameters::default(),
+            inactive: InactiveParameters::default(),
             residuals,
             preflight: None,
             tolerances: job.run.tolerances,

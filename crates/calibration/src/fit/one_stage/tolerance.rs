@@ -70,8 +70,8 @@ impl Calibration {
         let stated = self.fmu().description().default_experiment.tolerance.filter(|t| *t > 0.0 && *t < 1.0);
         let plan = self.evaluator().simulations[0].pool.plan();
         let is_given = self.problem().settings.run.relative_tolerance.is_some();
-        let has_own = stated.is_none() && plan.kind() != InterfaceKind::ModelExchange;
-        if is_given || has_own || self.has_fixed_step() || tolerances.f_tol == 0.0 {
+        let has_model_tolerance = stated.is_none() && plan.kind() != InterfaceKind::ModelExchange;
+        if is_given || has_model_tolerance || self.has_fixed_step() || tolerances.f_tol == 0.0 {
             return None;
         }
         let first = plan.relative_tolerance();

@@ -101,7 +101,7 @@ impl Chain<'_> {
                 }
             }
         };
-        let (mut walkers, mut known): (Vec<Vec<f64>>, Vec<f64>) = (Vec::new(), Vec::new());
+        let (mut walkers, mut log_densities): (Vec<Vec<f64>>, Vec<f64>) = (Vec::new(), Vec::new());
         for round in 0..MOST_DRAWS {
             let missing = n_walkers - walkers.len();
             if missing == 0 {
@@ -112,7 +112,7 @@ impl Chain<'_> {
             for (point, log_density) in points.into_iter().zip(answers).filter(|(_, value)| value.is_finite())
             {
                 walkers.push(point);
-                known.push(log_density);
+                log_densities.push(log_density);
             }
         }
         if walkers.len() < n_walkers {
@@ -122,7 +122,7 @@ impl Chain<'_> {
                 MOST_DRAWS * n_walkers
             )));
         }
-        Ok(EnsembleSampler::new(&walkers, &known, bounds, Some(seed))?)
+        Ok(EnsembleSampler::new(&walkers, &log_densities, bounds, Some(seed))?)
     }
 
     /// Returns a square root of the covariance of the fit, in the coordinates of the search. Parameters

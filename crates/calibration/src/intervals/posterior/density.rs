@@ -93,7 +93,7 @@ impl LogDensity {
         // A log-normal density contains 1 / x, unless the logarithm itself is sampled. A normal density of x has the
         // factor x in the coordinate ln x.
         let of_scale =
-            |(parameter, x): (&Parameter, &f64)| match (parameter.known_prior(), parameter.scale_kind()) {
+            |(parameter, x): (&Parameter, &f64)| match (parameter.stated_prior(), parameter.scale_kind()) {
                 (Some(Prior::LogNormal { .. }), Scale::Linear) => -x.ln(),
                 (Some(Prior::Normal { .. }), Scale::Log) => x.ln(),
                 _ => 0.0,

@@ -55,10 +55,10 @@ impl Calibration {
         progress: &mut dyn FnMut(usize),
         context: &RunContext<'_>,
     ) -> Result<Posterior, CalibrationError> {
-        self.as_fitted(fit, |fitted| fitted.own_sample(fit, options, progress, context))
+        self.as_fitted(fit, |fitted| fitted.sample_fitted(fit, options, progress, context))
     }
 
-    fn own_sample(
+    fn sample_fitted(
         &self,
         fit: &Fit,
         options: &PosteriorOptions,

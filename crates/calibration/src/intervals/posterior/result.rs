@@ -1,7 +1,7 @@
 //! A sample of the posterior distribution, and its display.
 
 use super::saved::SavedChain;
-use crate::findings::shown_text::{digits, visible_line};
+use crate::findings::display_text::{digits, visible_line};
 use crate::fit::one_stage::Fit;
 use crate::uncertainty::robust::quantile;
 use base::Number;

@@ -14,10 +14,10 @@ use crate::loaded::simulations_around::Simulations;
 use crate::problem::fingerprint::hash_of_bytes;
 use crate::problem::objective::CostKind;
 use crate::problem::parameter::{Parameter, inner};
-use crate::uncertainty::estimate::KnownPoint;
+use crate::uncertainty::estimate::EvaluatedPoint;
+use crate::uncertainty::inactive_parameters::{AT, BoundSide};
 use crate::uncertainty::result::{Uncertainty, check_level};
 use crate::uncertainty::scores::Criterion;
-use crate::uncertainty::stuck_parameters::{AT, BoundSide};
 use base::RunContext;
 use dfo::{ParameterKind, RobustLoss};
 use refit::Refits;
@@ -102,11 +102,11 @@ impl Calibration {
         options: &ProfileOptions,
         context: &RunContext<'_>,
     ) -> Result<Profile, CalibrationError> {
-        self.as_fitted(fit, |fitted| fitted.own_profile(fit, options, context))
+        self.as_fitted(fit, |fitted| fitted.profile_fitted(fit, options, context))
     }
 
     /// Computes the profile with the weights and the tolerance of the fit.
-    fn own_profile(
+    fn profile_fitted(
         &self,
         fit: &Fit,
         options: &ProfileOptions,
@@ -147,15 +147,15 @@ impl Calibration {
         let optimum = refits.optimum(&fit.x, &mut n_simulations, context)?;
         let mut simulations = Simulations::new(self, RobustLoss::default(), workers, context)?;
         let criterion = Criterion::Loss(fit.report.loss);
-        let known = KnownPoint {
+        let evaluated_point = EvaluatedPoint {
             held: held.clone(),
             f_tol: 1e-4,
             criterion,
             is_noise_known: fit.noise.as_ref().is_some_and(FitNoise::is_known),
-            ..KnownPoint::default()
+            ..EvaluatedPoint::default()
         };
         let (uncertainty, curvature) =
-            self.uncertainty_and_curvature(&optimum.x, estimator, &known, &mut simulations)?;
+            self.uncertainty_and_curvature(&optimum.x, estimator, &evaluated_point, &mut simulations)?;
         let uncertainty = if options.is_corrected { uncertainty } else { uncertainty.uncorrected() };
         n_simulations += simulations.n;
         let degrees_of_freedom = uncertainty.degrees_of_freedom;
@@ -165,12 +165,12 @@ impl Calibration {
         let threshold = check_level(options.level, degrees_of_freedom)?.powi(2);
         refits.sizes = (0..n).map(|i| step_of(Some(&uncertainty), i).unwrap_or(refits.sizes[i])).collect();
         let per_rise = |i: usize| -> Result<f64, CalibrationError> {
-            let own = check_level(options.level, uncertainty.effective_degrees_of_freedom[i])?;
-            let found = curvature[i] / uncertainty.covariance[i * n + i] * threshold / (own * own);
+            let quantile = check_level(options.level, uncertainty.effective_degrees_of_freedom[i])?;
+            let found = curvature[i] / uncertainty.covariance[i * n + i] * threshold / (quantile * quantile);
             // For an undetermined parameter, or one at its bound, no other scale is available.
-            let is_known = found > 0.0 && found.is_finite();
+            let is_positive = found > 0.0 && found.is_finite();
             let of_all = if uncertainty.is_noise_known() { 1.0 } else { degrees_of_freedom / optimum.cost };
-            Ok(if is_known { found } else { of_all })
+            Ok(if is_positive { found } else { of_all })
         };
         let origins = (requested.iter())
             .map(|&i| {
@@ -229,13 +229,13 @@ impl Calibration {
             let at = inner(p, fit.x[i]);
             (at - inner(p, p.lower())).min(inner(p, p.upper()) - at) <= AT * self.size_of(p, fit.x[i])
         };
-        let is_known =
+        let was_held =
             |i: usize| fit.uncertainty.as_ref().is_some_and(|uncertainty| uncertainty.held.contains(&i));
         let is_held = |(i, p): &(usize, &Parameter)| {
             let is_found = fit.at_bound.iter().any(|(index, _)| index == i) || is_at_bound(*i, p);
             let is_fixed =
                 p.is_fixed() || p.lower() == p.upper() || p.value_kind() != ParameterKind::Continuous;
-            is_fixed || (is_known(*i) && !is_found)
+            is_fixed || (was_held(*i) && !is_found)
         };
         self.parameters().iter().enumerate().filter(is_held).map(|(i, _)| i).collect()
     }

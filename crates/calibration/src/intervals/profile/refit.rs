@@ -103,8 +103,8 @@ impl Refits<'_> {
         let parameters = self.calibration.parameters();
         let is_held = |i: usize| held == Some(i) || self.held.contains(&i);
         let bound = |side: fn(&Parameter) -> f64| -> Vec<f64> {
-            let own = parameters.iter().enumerate();
-            own.map(|(i, p)| if is_held(i) { start[i] } else { side(p) }).collect()
+            let by_parameter = parameters.iter().enumerate();
+            by_parameter.map(|(i, p)| if is_held(i) { start[i] } else { side(p) }).collect()
         };
         let transforms: Vec<Scale> = parameters.iter().map(Parameter::scale_kind).collect();
         let sizes: Vec<Option<f64>> = self.sizes.iter().map(|size| Some(*size)).collect();
@@ -119,7 +119,7 @@ impl Refits<'_> {
             .map_err(failed)?
             .transforms(&transforms)
             .kinds(&vec![ParameterKind::Continuous; start.len()])
-            .known_scales(&sizes)
+            .optional_scales(&sizes)
             .options(options)
             .context(*context)
             .run()

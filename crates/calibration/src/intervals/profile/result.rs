@@ -1,7 +1,7 @@
 //! Results of a profile likelihood, and their display.
 
-use crate::findings::shown_text::{digits, visible_line};
-use crate::uncertainty::stuck_parameters::BoundSide;
+use crate::findings::display_text::{digits, visible_line};
+use crate::uncertainty::inactive_parameters::BoundSide;
 use base::Number;
 use ode::Stats;
 use serde::{Deserialize, Serialize};

@@ -3,7 +3,7 @@
 use super::result::{ProfileEnd, ProfilePoint};
 use crate::error::CalibrationError;
 use crate::intervals::saved_file;
-use crate::uncertainty::stuck_parameters::BoundSide;
+use crate::uncertainty::inactive_parameters::BoundSide;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -43,25 +43,25 @@ impl SavedSides {
     /// Reads the sides from the file, if it exists. Writes the file immediately so that an invalid path is
     /// detected before the computation.
     pub(super) fn open(path: Option<&Path>, problem: String, n: usize) -> Result<Self, CalibrationError> {
-        let mut own =
+        let mut saved =
             Self { format: FORMAT.to_owned(), problem, sides: Vec::new(), path: path.map(Path::to_owned) };
-        let Some(path) = path else { return Ok(own) };
+        let Some(path) = path else { return Ok(saved) };
         let is_sound = |side: &Side| side.parameter < n && side.points.iter().all(|point| point.x.len() == n);
         let unreadable = "is not a file of profiles of this version";
         let found = saved_file::read(path, unreadable, |found: &Self| match found {
             _ if found.format != FORMAT => Some(unreadable),
-            _ if found.problem != own.problem => {
+            _ if found.problem != saved.problem => {
                 Some("contains profiles of another fit, problem, level or number of points per side")
             }
             _ => (!found.sides.iter().all(is_sound)).then_some("is damaged"),
         })?;
-        own.sides = found.map(|found| found.sides).unwrap_or_default();
-        own.write()?;
-        Ok(own)
+        saved.sides = found.map(|found| found.sides).unwrap_or_default();
+        saved.write()?;
+        Ok(saved)
     }
 
     pub(super) fn of(&self, parameter: usize, side: BoundSide) -> Option<&Side> {
-        self.sides.iter().find(|own| (own.parameter, own.side) == (parameter, side))
+        self.sides.iter().find(|saved_side| (saved_side.parameter, saved_side.side) == (parameter, side))
     }
 
     /// Adds a completed side. A failure to write the file only causes a warning, so that the other results

@@ -5,7 +5,7 @@ use super::refit::{NoFit, Refits, Refitted};
 use super::result::{ProfileEnd, ProfilePoint};
 use super::saved::Side;
 use crate::problem::parameter::{Parameter, inner, outer};
-use crate::uncertainty::stuck_parameters::{AT, BoundSide};
+use crate::uncertainty::inactive_parameters::{AT, BoundSide};
 use base::RunContext;
 
 /// Smallest and largest ratio of a step to the previous step.

@@ -3,9 +3,9 @@
 
 use crate::cost::accuracy::Accuracy;
 use crate::error::CalibrationError;
+use crate::findings::display_text::digits;
 use crate::findings::finding::{Finding, Origin, Severity};
 use crate::findings::identifier::FindingId;
-use crate::findings::shown_text::digits;
 use crate::uncertainty::covariance::matrix::{Factors, compressed};
 use crate::uncertainty::covariance::noise::Noise;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
@@ -77,8 +77,8 @@ impl Uncertainty {
         // A value of zero has no size, so any effect counts.
         let effect = |k: usize| lengths[k] * self.x[k].abs();
         let most = (0..self.n()).map(effect).fold(0.0, f64::max);
-        let own = if self.x[i] == 0.0 { f64::INFINITY } else { effect(i) };
-        lengths[i] > 0.0 && own > MOVES * most
+        let effect_of_parameter = if self.x[i] == 0.0 { f64::INFINITY } else { effect(i) };
+        lengths[i] > 0.0 && effect_of_parameter > MOVES * most
     }
 
     /// Returns the rows of each output of each experiment.
@@ -91,7 +91,7 @@ impl Uncertainty {
     }
 
     /// Returns the parameters that have a prior and that the data do not move away from it.
-    fn known_from_prior(&self) -> Vec<usize> {
+    fn determined_by_prior(&self) -> Vec<usize> {
         let measured = 0..self.rows().last().map_or(0, |rows| rows.end);
         let of_priors = self.lengths(measured.end..self.residuals.len());
         if of_priors.iter().all(|length| *length == 0.0) {
@@ -99,8 +99,8 @@ impl Uncertainty {
         }
         let of_data = self.lengths(measured);
         let is_prior_alone = |i: &usize| {
-            let (of_prior, own) = (of_priors[*i], of_data[*i]);
-            of_prior > 0.0 && (own <= PRIOR_ALONE * of_prior || !self.moves(*i, &of_data))
+            let (of_prior, of_measurements) = (of_priors[*i], of_data[*i]);
+            of_prior > 0.0 && (of_measurements <= PRIOR_ALONE * of_prior || !self.moves(*i, &of_data))
         };
         (0..self.n()).filter(|i| !self.held.contains(i)).filter(is_prior_alone).collect()
     }
@@ -204,13 +204,13 @@ impl Uncertainty {
             let covariance = factors.covariance(&variances, context)?;
             let error = |a: usize| covariance[(a, a)].sqrt();
             let correlation = |a: usize, b: usize| covariance[(a, b)] / (error(a) * error(b));
-            let is_told = (0..p).all(|a| {
+            let are_determined = (0..p).all(|a| {
                 (error(a) < RELATIVE_ERROR || is_about_zero(chosen[a]))
                     && (0..a).all(|b| correlation(a, b).abs() < CONFOUNDED)
             });
             // The variance of a combination below the noise is missing in this covariance.
             let is_whole = !factors.is_undetermined.contains(&true);
-            if !(is_told && is_whole) {
+            if !(are_determined && is_whole) {
                 chosen.pop();
                 break;
             }
@@ -367,9 +367,9 @@ impl Uncertainty {
 
     /// Returns a finding if a search ended before its minimum.
     fn not_at_minimum(&self) -> Option<Finding> {
-        let percent = digits(100.0 * self.left_to_gain);
+        let percent = digits(100.0 * self.achievable_decrease);
         let (id, sentence, remedy) = match self.is_at_failures {
-            _ if self.left_to_gain == 0.0 => return None,
+            _ if self.achievable_decrease == 0.0 => return None,
             true => (
                 FindingId::MinimumBeyondFailures,
                 format!(
@@ -398,7 +398,7 @@ impl Uncertainty {
 
     /// Rewrites the finding about an early end for a last stage that holds parameters of other stages.
     pub(crate) fn found_in_stages(&mut self) {
-        let percent = digits(100.0 * self.left_to_gain);
+        let percent = digits(100.0 * self.achievable_decrease);
         for finding in self.findings.iter_mut().filter(|finding| finding.id == FindingId::BeforeMinimum) {
             finding.id = FindingId::StagesApart;
             finding.sentence = format!(
@@ -413,7 +413,8 @@ impl Uncertainty {
     /// Returns a finding about standard errors corrected for autocorrelation, with the factor.
     fn correction(&self) -> Option<Finding> {
         let uncorrected = self.uncorrected_errors()?;
-        let factors = self.standard_errors.iter().zip(uncorrected).map(|(own, without)| own / without);
+        let factors =
+            self.standard_errors.iter().zip(uncorrected).map(|(corrected, without)| corrected / without);
         let (low, high) = factors
             .filter(|factor| factor.is_finite())
             .fold((f64::INFINITY, 0.0_f64), |(low, high), factor| (low.min(factor), high.max(factor)));
@@ -437,7 +438,7 @@ impl Uncertainty {
         let mut note = |id, subject: String, sentence: String, remedy: &str| {
             findings.push(Finding::note(id, subject, sentence, remedy));
         };
-        for i in self.known_from_prior() {
+        for i in self.determined_by_prior() {
             let name = &self.names[i];
             let sentence = format!(
                 "{name} is known from its prior alone. The data are much less accurate or contain no information about it"

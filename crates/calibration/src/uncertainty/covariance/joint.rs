@@ -33,7 +33,7 @@ impl JointMatrices {
             slope[(p + s, p + s)] = variance * start.scale * start.scale;
         }
         let n = model.variances.len();
-        let covariance = slopes[..n].iter().fold(embedded(&noise.of_priors), |sum, own| sum + own);
+        let covariance = slopes[..n].iter().fold(embedded(&noise.of_priors), |sum, slope| sum + slope);
         Self { covariance, slopes, uncertainty: model.uncertainty.clone() }
     }
 

@@ -86,10 +86,10 @@ pub(crate) fn compressed(
     }
     let (mut few, mut of_few) = (DMatrix::zeros(0, rows.ncols()), Vec::new());
     for (variance, ranges) in runs {
-        let (own, known) = (triangle(rows, &ranges, context)?, few.nrows());
-        of_few.resize(known + own.nrows(), f64::from_bits(variance));
-        few = few.resize_vertically(known + own.nrows(), 0.0);
-        few.rows_mut(known, own.nrows()).copy_from(&own);
+        let (rows_of_block, n_rows) = (triangle(rows, &ranges, context)?, few.nrows());
+        of_few.resize(n_rows + rows_of_block.nrows(), f64::from_bits(variance));
+        few = few.resize_vertically(n_rows + rows_of_block.nrows(), 0.0);
+        few.rows_mut(n_rows, rows_of_block.nrows()).copy_from(&rows_of_block);
     }
     Ok((few, of_few))
 }

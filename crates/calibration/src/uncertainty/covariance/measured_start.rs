@@ -36,8 +36,8 @@ impl Calibration {
     pub(crate) fn measured_starts(&self, x: &[f64]) -> Vec<MeasuredStart> {
         let outputs = &self.residual_layout().outputs;
         let of = |k: usize, state: &String, by: &str| {
-            let is_own = |o: &OutputResiduals| o.experiment == k && o.variable == by;
-            let output = outputs.iter().position(is_own)?;
+            let is_of_column = |o: &OutputResiduals| o.experiment == k && o.variable == by;
+            let output = outputs.iter().position(is_of_column)?;
             let value = self.evaluator().simulations[k].measured_start(state, x)?;
             let counts = outputs[output].starts_simulation && outputs[output].weights.first() != Some(&0.0);
             let row = counts.then_some(outputs[output].range.start);
@@ -62,8 +62,10 @@ impl Calibration {
         let mut problem = self.problem().clone();
         for (start, step) in moved {
             let states = &mut problem.experiments[start.experiment].initial_states;
-            let own = states.iter_mut().find(|(name, _)| *name == start.state);
-            own.into_iter().for_each(|(_, initial)| *initial = InitialState::Value(start.value + step));
+            let initial_state = states.iter_mut().find(|(name, _)| *name == start.state);
+            initial_state
+                .into_iter()
+                .for_each(|(_, initial)| *initial = InitialState::Value(start.value + step));
         }
         self.derived_beside(problem)
     }
@@ -83,14 +85,14 @@ impl Calibration {
         let outputs = &self.residual_layout().outputs;
         let step = |start: &MeasuredStart| {
             let output = &outputs[start.output];
-            let own = &residuals[output.range.clone()];
-            let squares: f64 = own
+            let residuals_of_output = &residuals[output.range.clone()];
+            let squares: f64 = residuals_of_output
                 .iter()
                 .zip(&output.weights)
                 .filter(|(_, w)| **w != 0.0)
                 .map(|(r, w)| (r / w) * (r / w))
                 .sum();
-            let size = (squares / own.len() as f64).sqrt();
+            let size = (squares / residuals_of_output.len() as f64).sqrt();
             let shortest = SHORTEST * start.value.abs();
             let step = if size > shortest && size.is_finite() { size } else { shortest };
             if step > 0.0 { step } else { SHORTEST }
@@ -107,10 +109,11 @@ impl Calibration {
                 .collect();
             let Ok(derived) = self.with_starts_moved(&moved) else { continue };
             let (workers, context) = (simulations.workers, simulations.context);
-            let mut own = Simulations::new(&derived, RobustLoss::default(), workers, &context)?;
-            let there = own.residuals(&[Point::new(x.to_vec())])?.swap_remove(0);
-            simulations.n += own.n;
-            simulations.stats += own.stats;
+            let mut simulations_with_start =
+                Simulations::new(&derived, RobustLoss::default(), workers, &context)?;
+            let there = simulations_with_start.residuals(&[Point::new(x.to_vec())])?.swap_remove(0);
+            simulations.n += simulations_with_start.n;
+            simulations.stats += simulations_with_start.stats;
             let Ok(there) = there else { continue };
             for (start, step) in moved {
                 let mut change = DVector::zeros(residuals.len());

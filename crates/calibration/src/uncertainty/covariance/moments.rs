@@ -190,7 +190,7 @@ impl<'a> Moments<'a> {
         let used: Vec<usize> = (0..n).map(|g| 2 * g).chain(lasting().map(|g| 2 * g + 1)).collect();
         let by = |means: &[f64], factor: f64| DVector::from_fn(used.len(), |a, _| means[used[a]] * factor);
         let parts = of.components.iter().zip(&of.values);
-        let mut columns: Vec<DVector<f64>> = parts.map(|(own, value)| by(&own.means, *value)).collect();
+        let mut columns: Vec<DVector<f64>> = parts.map(|(part, value)| by(&part.means, *value)).collect();
         for g in lasting() {
             let at = |sign: f64| self.component(g, of.transforms[g] + sign * DIFFERENCE, context);
             let factor = of.values[g] / (2.0 * DIFFERENCE);
@@ -223,7 +223,7 @@ impl<'a> Moments<'a> {
     fn covariance(&self, of: &Variances, context: &RunContext<'_>) -> Result<DMatrix<f64>, CalibrationError> {
         let (q, n) = (self.base.ncols(), self.found.len());
         let parts = of.components.iter().zip(&of.values);
-        let inner = parts.fold(self.of_priors.clone(), |sum, (own, value)| sum + &own.inner * *value);
+        let inner = parts.fold(self.of_priors.clone(), |sum, (part, value)| sum + &part.inner * *value);
         let mut k = DMatrix::zeros(2 * q, 2 * q);
         k.view_mut((0, q), (q, q)).fill_diagonal(-1.0);
         k.view_mut((q, 0), (q, q)).fill_diagonal(-1.0);

@@ -148,12 +148,12 @@ impl Noise {
         context: &RunContext<'_>,
     ) -> Result<Self, CalibrationError> {
         let starts = StartNoise::all(layout, plain, working, groups, starts, base, context)?;
-        let mut own_groups = groups.to_vec();
+        let mut working_groups = groups.to_vec();
         let (whole_base, mut residuals) =
-            with_starts(base, &working.residuals, &mut own_groups, &starts, context)?;
+            with_starts(base, &working.residuals, &mut working_groups, &starts, context)?;
         residuals.iter_mut().zip(&working.corrections).for_each(|(r, factor)| *r *= factor.sqrt());
         let priors = layout.n_measurements()..working.residuals.len();
-        let mut moments = Moments::new(&own_groups, &whole_base, &residuals, priors.clone(), context)?;
+        let mut moments = Moments::new(&working_groups, &whole_base, &residuals, priors.clone(), context)?;
         let is_rounded = |k: &usize| {
             let output = &layout.outputs[*k];
             is_rounding(output, &plain[output.range.clone()])
@@ -178,7 +178,7 @@ impl Noise {
         let independent = model(vec![0.0; groups.len()])?;
         let mut transforms = vec![0.0; groups.len()];
         if moments.degrees_of_freedom > 0.0 && base.ncols() > 0 {
-            for (g, group) in own_groups.iter().enumerate() {
+            for (g, group) in working_groups.iter().enumerate() {
                 if group.is_known
                     || is_rounding[g]
                     || group.n_rows() <= base.ncols() + 2
@@ -295,8 +295,8 @@ fn alone(
         end += range.len();
         end - range.len()..end
     });
-    let own = [Group { series: series.collect(), ..Group::default() }];
-    Moments::new(&own, &base, &residuals, 0..0, context)?.autocorrelation(context)
+    let groups = [Group { series: series.collect(), ..Group::default() }];
+    Moments::new(&groups, &base, &residuals, 0..0, context)?.autocorrelation(context)
 }
 
 /// Returns an orthonormal base of columns of about unit length, and the residuals minus their projection onto
@@ -403,8 +403,8 @@ mod tests {
         );
         let two = layout(&[("y", 2), ("z", 2)]);
         let (two, _) = found(&two, &residuals, &line(4), Estimator::Sandwich, &[]);
-        let (own, other) = (0.9, 0.1);
-        let solved = |a: f64, b: f64| (own * a - other * b) / (own * own - other * other);
+        let (within, between) = (0.9, 0.1);
+        let solved = |a: f64, b: f64| (within * a - between * b) / (within * within - between * between);
         let (first, second) = (solved(0.05, 0.1), solved(0.1, 0.05));
         for (got, expected) in two.variances.iter().zip([first, first, second, second]) {
             assert!((got - expected).abs() < 1e-14, "{:?}", two.variances);
@@ -564,7 +564,7 @@ mod tests {
             let model = noise.autocorrelated.unwrap();
             by_chance += usize::from(model.autocorrelations[0] > 0.0);
             let of_set = [model.autocorrelations[1], model.variances[0], model.variances[1]];
-            means.iter_mut().zip(of_set).for_each(|(mean, own)| *mean += own / f64::from(sets));
+            means.iter_mut().zip(of_set).for_each(|(mean, variance)| *mean += variance / f64::from(sets));
         }
         // One in forty is expected, whatever the size of the smooth part.
         assert!(by_chance <= 7, "{by_chance} of {sets}");

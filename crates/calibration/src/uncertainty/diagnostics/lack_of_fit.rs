@@ -1,8 +1,8 @@
 //! Test of the residuals against the pure error of replicates.
 
+use crate::findings::display_text::digits;
 use crate::findings::finding::{Finding, Origin};
 use crate::findings::identifier::FindingId;
-use crate::findings::shown_text::digits;
 use crate::problem::residual_layout::ResidualLayout;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
@@ -47,15 +47,21 @@ impl LackOfFit {
                 n_pure += replicates.len() - 1;
             }
         }
-        let own = n_pure as f64;
-        let others = degrees_of_freedom - own;
-        if n_pure == 0 || pure <= 0.0 || others <= 0.0 {
+        let pure_degrees = n_pure as f64;
+        let other_degrees = degrees_of_freedom - pure_degrees;
+        if n_pure == 0 || pure <= 0.0 || other_degrees <= 0.0 {
             return None;
         }
-        let f = (total - pure) / others / (pure / own);
-        let p = FisherSnedecor::new(others, own).ok()?.sf(f);
-        let pure_error = (pure / own).sqrt();
-        Some(Self { pure_error, pure_degrees_of_freedom: own, degrees_of_freedom: others, f, p })
+        let f = (total - pure) / other_degrees / (pure / pure_degrees);
+        let p = FisherSnedecor::new(other_degrees, pure_degrees).ok()?.sf(f);
+        let pure_error = (pure / pure_degrees).sqrt();
+        Some(Self {
+            pure_error,
+            pure_degrees_of_freedom: pure_degrees,
+            degrees_of_freedom: other_degrees,
+            f,
+            p,
+        })
     }
 
     /// Returns the finding about a lack of fit that is unlikely to be chance.

@@ -1,9 +1,9 @@
 //! Priors that the measurements contradict.
 
 use crate::error::CalibrationError;
+use crate::findings::display_text::digits;
 use crate::findings::finding::Finding;
 use crate::findings::identifier::FindingId;
-use crate::findings::shown_text::digits;
 use crate::problem::parameter::{inner, outer};
 use crate::problem::prior::Prior;
 use crate::problem::residual_layout::ResidualLayout;
@@ -77,7 +77,7 @@ impl PriorConflict {
     }
 
     pub(crate) fn finding(&self, name: &str) -> Finding {
-        let known = match self.prior {
+        let stated = match self.prior {
             Prior::Normal { mean, sd } => format!("mean {}, sd {}", digits(mean), digits(sd)),
             Prior::LogNormal { median, sigma } => {
                 format!("median {}, sigma {}", digits(median), digits(sigma))
@@ -88,7 +88,7 @@ impl PriorConflict {
         };
         let direction = if self.without_prior < center { "smaller" } else { "larger" };
         let sentence = format!(
-            "the prior of {name} ({known}) contradicts the measurements, which lead to a {direction} value ({} standard deviations away by \
+            "the prior of {name} ({stated}) contradicts the measurements, which lead to a {direction} value ({} standard deviations away by \
              linearisation). The result follows whichever has the larger weight",
             digits(self.deviations)
         );

@@ -1,9 +1,9 @@
 //! Checks of the residuals of each output: mean, autocorrelation, outliers.
 
 use crate::error::CalibrationError;
+use crate::findings::display_text::digits;
 use crate::findings::finding::{Finding, Origin, Severity};
 use crate::findings::identifier::FindingId;
-use crate::findings::shown_text::digits;
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
 use crate::uncertainty::robust::distances;
 use crate::uncertainty::row_blocks::go_on;

@@ -152,8 +152,8 @@ fn residuals_are_checked_with_every_cost_and_without_covariance() {
             let fit = fitted_as(recording(&t, with_offset.clone()), options());
             let reported = warnings(&fit.findings());
             let text = "the residuals of x are autocorrelated";
-            let times_said = reported.iter().filter(|reported| reported.contains(text)).count();
-            assert!(fit.report.is_success() && times_said == 1, "{name}: {fit}");
+            let n_reported = reported.iter().filter(|reported| reported.contains(text)).count();
+            assert!(fit.report.is_success() && n_reported == 1, "{name}: {fit}");
             let has_errors = fit.uncertainty.is_some();
             assert_eq!(
                 reported.iter().any(|reported| reported.contains("Standard errors are corrected")),

@@ -139,14 +139,14 @@ fn search_ended_before_minimum_is_reported() {
         ..FitOptions::default_run()
     };
     let fit = calibration.fit(run).unwrap();
-    let uncertainty = fit.uncertainty.as_ref().map(|uncertainty| uncertainty.left_to_gain);
+    let uncertainty = fit.uncertainty.as_ref().map(|uncertainty| uncertainty.achievable_decrease);
     let at = calibration
         .uncertainty(&fit.x, &calibration::UncertaintyOptions::default(), &RunContext::new())
         .unwrap();
-    assert!(uncertainty.is_none_or(|left| left > 0.9) && at.left_to_gain > 0.9, "{fit}");
+    assert!(uncertainty.is_none_or(|left| left > 0.9) && at.achievable_decrease > 0.9, "{fit}");
     assert!(warns(&at.findings, "The search ended before the minimum"), "{at}");
     let fit = calibration.fit(FitOptions::default()).unwrap();
-    assert_eq!(fit.uncertainty.as_ref().unwrap().left_to_gain, 0.0, "{fit}");
+    assert_eq!(fit.uncertainty.as_ref().unwrap().achievable_decrease, 0.0, "{fit}");
     assert!(fit.is_success(), "{fit}");
     // A search with loose tolerances is not a success, even if its own criteria are met.
     let tolerances =

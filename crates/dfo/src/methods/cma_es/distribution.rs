@@ -146,14 +146,14 @@ impl Distribution {
 
     /// Updates the distribution from the better steps of a generation. `ranked` contains the steps of
     /// individuals that did not fail, best first, with the squared lengths returned by [`draw`](Self::draw)
-    /// or [`inject`](Self::inject). `size` returns the size of a coordinate. `is_own` is true if all steps
-    /// were drawn from this distribution. `lead` is the difference in rank between the individuals on both
-    /// sides of the mean, if it determines the step size.
+    /// or [`inject`](Self::inject). `size` returns the size of a coordinate. `is_current` is true if all
+    /// steps were drawn from this distribution. `lead` is the difference in rank between the individuals on
+    /// both sides of the mean, if it determines the step size.
     pub(super) fn update<'a, I>(
         &mut self,
         weights: &Weights,
         ranked: I,
-        is_own: bool,
+        is_current: bool,
         lead: Option<f64>,
         size: impl Fn(usize) -> f64,
     ) where
@@ -170,7 +170,7 @@ impl Distribution {
         for (w, (y, _)) in positive.iter().zip(ranked.clone()) {
             shift.iter_mut().zip(y).for_each(|(s, y)| *s += w / sum * y);
         }
-        let share = if is_own { 1.0 } else { SHARE_OF_EARLIER };
+        let share = if is_current { 1.0 } else { SHARE_OF_EARLIER };
         for (k, (mean, s)) in self.mean.iter_mut().zip(&shift).enumerate() {
             let moved = *mean + share * self.sigma * size(k) * s;
             *mean = if moved.is_finite() { moved } else { *mean };
@@ -183,7 +183,7 @@ impl Distribution {
         along.clear();
         along.resize(n, 0.0);
         let squared = self.squared(&shift, &mut along);
-        if !is_own {
+        if !is_current {
             let factor = (longest(n, 2.0) / (mu_eff * squared).sqrt()).min(1.0);
             along.iter_mut().chain(&mut shift).for_each(|s| *s *= factor);
         }

@@ -79,9 +79,10 @@ const LEAST_FOR_TWO_POINTS: usize = 4;
 /// costs have equal rank.
 fn lead(generation: &RankedPoints) -> f64 {
     let rank = |slot: usize| {
-        let own = generation.cost(slot).value().unwrap_or(f64::INFINITY);
-        (0..generation.len()).filter(|k| generation.cost(*k).value().is_some_and(|other| other < own)).count()
-            as f64
+        let cost = generation.cost(slot).value().unwrap_or(f64::INFINITY);
+        (0..generation.len())
+            .filter(|k| generation.cost(*k).value().is_some_and(|other| other < cost))
+            .count() as f64
     };
     (rank(1) - rank(0)) / (generation.len() - 1) as f64
 }
@@ -218,7 +219,7 @@ impl CmaRules {
     /// (Hansen 2009). Otherwise, uses its stagnation test, which requires that neither the best nor the
     /// median costs decrease. With a start near the minimum and a first step that is far too long, these
     /// costs decrease first. A point that is better than the start follows much later.
-    fn is_stuck(&self, n: usize, members: usize, is_flat: bool) -> bool {
+    fn has_stalled(&self, n: usize, members: usize, is_flat: bool) -> bool {
         let rate = (30 * n).div_ceil(members);
         let most = (120 + rate + self.n_generations / 5).min(MOST_RECENT - 1);
         if is_flat { self.idle > 10 + rate } else { self.recent.len() > most && !self.falls(most) }
@@ -302,7 +303,8 @@ impl GenerationRules for CmaRules {
             Some(Termination::Collapsed)
         } else if self.barren >= MOST_BARREN {
             Some(Termination::AllFailed)
-        } else if self.is_stuck(n, members, is_flat) || self.schedule.is_over(n, members, self.n_generations)
+        } else if self.has_stalled(n, members, is_flat)
+            || self.schedule.is_over(n, members, self.n_generations)
         {
             Some(Termination::Stalled)
         } else {

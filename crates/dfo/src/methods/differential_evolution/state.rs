@@ -267,9 +267,9 @@ impl GenerationRules for DifferentialRules {
         let Populations { setup, seed, population, .. } = pool;
         let members = population.len();
         if self.lag > 0 {
-            let mut known = without_costs(population);
+            let mut evaluated = without_costs(population);
             for slot in 0..members {
-                self.enter(slot, population.cost(slot), (setup, *seed), &mut known);
+                self.enter(slot, population.cost(slot), (setup, *seed), &mut evaluated);
             }
         }
         self.n_evaluated = members;

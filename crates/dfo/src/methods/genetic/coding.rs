@@ -70,11 +70,11 @@ impl Coding {
     /// Decodes a string to working coordinates.
     pub(super) fn decode(&self, space: &Space, mut bits: &[bool], u: &mut [f64]) {
         for (k, field) in self.fields.iter().enumerate() {
-            let (own, rest) = bits.split_at(field.bits as usize);
+            let (of_field, rest) = bits.split_at(field.bits as usize);
             bits = rest;
             let mut code = 0u64;
             let mut above = false;
-            for &bit in own {
+            for &bit in of_field {
                 let bit = if self.gray { bit ^ above } else { bit };
                 above = bit;
                 code = code << 1 | u64::from(bit);

@@ -67,11 +67,11 @@ impl GeneticRules {
         let (mut bits, mut decoded) = (vec![false; members * length], vec![0.0; n]);
         let Populations { setup, population, .. } = &mut pool;
         for slot in 0..members {
-            let own = &mut bits[slot * length..(slot + 1) * length];
-            coding.encode(&setup.space, population.u(slot), population.x(slot), own);
+            let string = &mut bits[slot * length..(slot + 1) * length];
+            coding.encode(&setup.space, population.u(slot), population.x(slot), string);
             // A sampled point moves to the point encoded by its string. A given point is evaluated unchanged.
             if slot >= n_exact {
-                coding.decode(&setup.space, own, &mut decoded);
+                coding.decode(&setup.space, string, &mut decoded);
                 population.place(slot, &decoded, &setup.space);
             }
         }
@@ -110,11 +110,11 @@ impl GenerationRules for GeneticRules {
                 Selection::Tournament(size) => tournament(&mut stream, population, size),
             };
             let parents = [parent(), parent()];
-            let own = |slot: usize| &self.bits[slot * length..(slot + 1) * length];
+            let string_of = |slot: usize| &self.bits[slot * length..(slot + 1) * length];
             let (first, second) = strings.split_at_mut(length);
             let second = if second.is_empty() { &mut self.spare[..] } else { second };
-            first.copy_from_slice(own(parents[0]));
-            second.copy_from_slice(own(parents[1]));
+            first.copy_from_slice(string_of(parents[0]));
+            second.copy_from_slice(string_of(parents[1]));
             if stream.chance(self.options.crossover_rate) {
                 cross(&mut stream, first, second);
             }
@@ -122,8 +122,8 @@ impl GenerationRules for GeneticRules {
             mutate(&mut stream, self.mutation_rate, second);
         }
         for slot in 0..candidates.len() {
-            let own = &self.child_bits[slot * length..(slot + 1) * length];
-            self.coding.decode(&setup.space, own, &mut self.decoded);
+            let string = &self.child_bits[slot * length..(slot + 1) * length];
+            self.coding.decode(&setup.space, string, &mut self.decoded);
             candidates.place(slot, &self.decoded, &setup.space);
         }
     }
@@ -147,8 +147,8 @@ impl GenerationRules for GeneticRules {
         self.sums.extend(slots.iter().map(|s| *s as f64));
         for (child, slot) in self.sums.iter().map(|s| *s as usize).enumerate() {
             population.copy_from(slot, candidates, child);
-            let own = &self.child_bits[child * length..(child + 1) * length];
-            self.bits[slot * length..(slot + 1) * length].copy_from_slice(own);
+            let string = &self.child_bits[child * length..(child + 1) * length];
+            self.bits[slot * length..(slot + 1) * length].copy_from_slice(string);
         }
     }
 

@@ -90,7 +90,7 @@ impl LeastSquaresState {
                 Some(bent) if bent > BENT && !regression.is_quadratic && near.len() > 3 * (n + 1) => {
                     averaging.radius *= 0.7;
                 }
-                Some(bent) if bent < STRAIGHT && averaging.n_asked % 2 == 1 => {
+                Some(bent) if bent < STRAIGHT && averaging.n_requested % 2 == 1 => {
                     averaging.radius = (1.5 * averaging.radius).min(WIDEST * self.options.radius);
                 }
                 _ => {}
@@ -109,8 +109,8 @@ impl LeastSquaresState {
             let most = (3.0 * regression.excess).min(LITTLE * best);
             // Include decreases beyond the radius.
             let wide = averaging.radius.max(self.options.radius);
-            let is_known = is_straight && averaging.n_asked >= FEWEST * (n + 1) && predicted <= most;
-            let ends = is_known && regression.minimise(wide, &lower, &upper).1 <= most;
+            let is_reliable = is_straight && averaging.n_requested >= FEWEST * (n + 1) && predicted <= most;
+            let ends = is_reliable && regression.minimise(wide, &lower, &upper).1 <= most;
             if may_end && (ends || self.is_halted(MOST_WITHOUT_GAIN)) {
                 self.phase = Phase::Ended(self.end_in_noise(best_point));
                 return;
@@ -123,14 +123,14 @@ impl LeastSquaresState {
         }
         // Alternate between the trial point and a point that improves the model. Several points at once would
         // be requested before the first one gives information on the noise.
-        match trial.filter(|_| averaging.n_asked.is_multiple_of(2)) {
+        match trial.filter(|_| averaging.n_requested.is_multiple_of(2)) {
             Some(role) => self.ask_for(averaging.centre.clone(), role),
             None => {
                 let v = self.fitted(&averaging.centre, &coverage.least(), averaging.radius);
                 self.ask_for(sum(&averaging.centre, &v), Role::Near);
             }
         }
-        averaging.n_asked += 1;
+        averaging.n_requested += 1;
         self.phase = Phase::Averaging(averaging);
     }
 
@@ -138,7 +138,7 @@ impl LeastSquaresState {
     pub(super) fn averaged(&mut self, round: &[Candidate]) {
         self.n_iterations += 1;
         self.operation = Some(Operation::TrustRegionStep);
-        let failed = round.iter().any(|candidate| candidate.known == PointStatus::Failed);
+        let failed = round.iter().any(|candidate| candidate.status == PointStatus::Failed);
         let Some(best) = self.best_of(0..self.points.len()) else { return };
         self.look_for_progress(best);
         if let (Phase::Averaging(averaging), true) = (&mut self.phase, failed) {

@@ -93,8 +93,8 @@ impl Interpolation {
             Some(distances)
         };
         let (before, after) = gradients.split_at_mut(reference * n);
-        let (own, after) = after.split_at_mut(n);
-        before.chunks_exact(n).chain(after.chunks_exact(n)).for_each(|g| axpy(-1.0, g, own));
+        let (gradient, after) = after.split_at_mut(n);
+        before.chunks_exact(n).chain(after.chunks_exact(n)).for_each(|g| axpy(-1.0, g, gradient));
         // Solve J W' = D. The differences D are reduced to n rows first, so that only these must be solved
         // for.
         let (zero, of_base) = (points[reference].1, points[base].1);
@@ -226,8 +226,8 @@ impl Interpolation {
 
     /// Returns the error of the gradient computed from the factors, in units of the Jacobian.
     fn drift(&self, slope: &[f64]) -> f64 {
-        let own = times_transposed(&self.linear.factor, self.linear.reached.as_slice());
-        distance(&own, slope) / diagonal(&self.linear.factor).1
+        let product = times_transposed(&self.linear.factor, self.linear.reached.as_slice());
+        distance(&product, slope) / diagonal(&self.linear.factor).1
     }
 
     fn move_by(&mut self, step: &[f64]) {
@@ -367,11 +367,11 @@ mod tests {
                 let of_new = residuals(&new, m);
                 let lagrange = model.lagrange(&step);
                 let place = (0..=n).max_by(|a, b| lagrange[*a].abs().total_cmp(&lagrange[*b].abs())).unwrap();
-                let known: Vec<&[f64]> = values.iter().map(Vec::as_slice).collect();
+                let nodes: Vec<&[f64]> = values.iter().map(Vec::as_slice).collect();
                 let mut misfit = difference(&of_new, &values[base]);
-                combine(&mut misfit, &known, &values[base], &lagrange);
+                combine(&mut misfit, &nodes, &values[base], &lagrange);
                 let of = NewPoint { step: &step, lagrange: &lagrange, residuals: &of_new, misfit: &misfit };
-                let is_accurate = model.exchange(place, &of, &known, turn % 3 == 0);
+                let is_accurate = model.exchange(place, &of, &nodes, turn % 3 == 0);
                 (places[place], values[place]) = (new, of_new);
                 let again = fresh(&places, &values, if turn % 3 == 0 { place } else { model.base });
                 if !is_accurate {

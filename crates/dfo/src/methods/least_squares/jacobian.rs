@@ -21,7 +21,7 @@ const NOISE: [f64; 6] = [1e-12, 1e-10, 1e-8, 1e-6, 1e-4, 1e-2];
 /// Maximum curvature over the distance unit, relative to the derivatives, at which a misfit is not noise.
 const BENT: f64 = 10.0;
 /// Minimum significant change of the residuals, in standard errors.
-const TOLD: f64 = 3.0;
+const SIGNIFICANT: f64 = 3.0;
 /// Relative distance from a plane below which points do not determine the direction across the plane.
 const IN_PLANE: f64 = 1.5e-8;
 /// Number of parameters from which only the differences within the set determine the Jacobian. A regression
@@ -166,7 +166,7 @@ fn regression(
         let spread = (misfit / freedom).sqrt();
         let noise_along = |direction: &DVector<f64>| {
             let rounded = (&q * direction).component_mul(&weights).norm();
-            TOLD * spread.max(rounding * rounded)
+            SIGNIFICANT * spread.max(rounding * rounded)
         };
         // The rows of the derivatives are linear combinations of the rotated rows.
         let combinations = r.transpose().solve_lower_triangular(&DMatrix::identity(n, n))?;

@@ -54,29 +54,29 @@ impl Regression {
         let r = qr.r();
         qr.q_tr_mul(&mut turned);
         let smallest = 1e-6 * (0..=n).map(|k| r[(k, k)].abs()).fold(0.0, f64::max);
-        let is_known = |k: usize| r[(k, k)].abs() > smallest;
-        if !(0..=n).all(is_known) {
+        let is_determined = |k: usize| r[(k, k)].abs() > smallest;
+        if !(0..=n).all(is_determined) {
             return None;
         }
         // Drop the second-degree terms if the points do not determine them.
-        let n_known = if (n + 1..n_all).all(is_known) { n_all } else { n + 1 };
-        let of_known = r.view((0, 0), (n_known, n_known));
+        let n_determined = if (n + 1..n_all).all(is_determined) { n_all } else { n + 1 };
+        let determined = r.view((0, 0), (n_determined, n_determined));
         let coefficients =
-            of_known.solve_upper_triangular(&turned.rows(0, n_known).into_owned())?.transpose();
+            determined.solve_upper_triangular(&turned.rows(0, n_determined).into_owned())?.transpose();
         if coefficients.iter().any(|c| !c.is_finite()) {
             return None;
         }
         let per = |from: usize, to: usize| turned.rows(from, to - from).norm_squared() / (to - from) as f64;
-        let bent = (n_known > n + 1 && len > n_all).then(|| per(n + 1, n_all) / per(n_all, len));
-        let coefficients = if m > n_known { coefficients.qr().r() } else { coefficients };
+        let bent = (n_determined > n + 1 && len > n_all).then(|| per(n + 1, n_all) / per(n_all, len));
+        let coefficients = if m > n_determined { coefficients.qr().r() } else { coefficients };
         // At the minimum, a fraction n / m of the noise of n_known coefficients from len points affects the
         // cost.
-        let excess = if len > n_known {
-            per(n_known, len) * (n.min(m) as f64 / m as f64) * (n_known as f64 / len as f64)
+        let excess = if len > n_determined {
+            per(n_determined, len) * (n.min(m) as f64 / m as f64) * (n_determined as f64 / len as f64)
         } else {
             f64::INFINITY
         };
-        Some(Self { coefficients, length, bent, is_quadratic: n_known == kinds[0], excess })
+        Some(Self { coefficients, length, bent, is_quadratic: n_determined == kinds[0], excess })
     }
 
     /// Returns the rotated residuals at a displacement.

@@ -130,7 +130,7 @@ impl Selection {
     /// Returns unit vectors that complete the directions. They are coordinate directions if these are
     /// independent.
     pub(super) fn missing(mut self, n: usize) -> Vec<Vec<f64>> {
-        let n_known = self.basis.len();
+        let n_present = self.basis.len();
         while self.basis.len() < n {
             // Coordinate with the largest missing part.
             let unit = |k: usize| (0..n).map(|j| if j == k { 1.0 } else { 0.0 }).collect::<Vec<f64>>();
@@ -140,6 +140,6 @@ impl Selection {
                 break;
             }
         }
-        self.basis.split_off(n_known)
+        self.basis.split_off(n_present)
     }
 }

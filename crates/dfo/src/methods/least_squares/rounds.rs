@@ -20,7 +20,7 @@ const LONGEST: f64 = 1e-2;
 /// Second difference relative to the first one above which the step is too short for the noise.
 const NOISY: f64 = 1e-2;
 /// Maximum number of consecutive rounds without a better point.
-const MOST_STUCK: usize = 4;
+const MOST_WITHOUT_PROGRESS: usize = 4;
 /// Radii of the trial points, in units of the trust-region radius, most promising first. Measured in
 /// `benches/dfo/results/rounds.md`: with three more radii, fewer curves are solved.
 const RADII: [f64; 4] = [1.0, 3.0, 0.3, 0.1];
@@ -41,10 +41,10 @@ impl LeastSquaresState {
         }
         match neighbours.into_iter().collect() {
             Some(neighbours) => Phase::Rounds(Rounds {
-                known: vec![Differences { centre: 0, neighbours, is_fine: false }],
+                differences: vec![Differences { centre: 0, neighbours, is_fine: false }],
                 step: STEP,
                 is_checked: false,
-                n_stuck: 0,
+                n_without_progress: 0,
                 base: 0,
                 around: None,
             }),
@@ -55,7 +55,7 @@ impl LeastSquaresState {
     /// Returns the best point. The points of fine differences count as their centre.
     fn base_of_rounds(&self, rounds: &Rounds) -> usize {
         let best = self.best_of(0..self.points.len()).unwrap_or(0);
-        let fine = rounds.known.iter().rev().filter(|d| d.is_fine);
+        let fine = rounds.differences.iter().rev().filter(|d| d.is_fine);
         fine.into_iter().find(|d| d.neighbours.contains(&best)).map_or(best, |d| d.centre)
     }
 
@@ -82,11 +82,12 @@ impl LeastSquaresState {
         let Evaluated { z, residuals, .. } = &self.points[base];
         let (m, n) = (residuals.len(), self.n());
         let far = |d: &&Differences| distance(&self.points[d.centre].z, z);
-        let nearest =
-            rounds.fine_at(base).or_else(|| rounds.known.iter().min_by(|a, b| far(a).total_cmp(&far(b))));
+        let nearest = rounds
+            .fine_at(base)
+            .or_else(|| rounds.differences.iter().min_by(|a, b| far(a).total_cmp(&far(b))));
         let Some(nearest) = nearest else { return Ok(Linear::nothing()) };
         let way = difference(z, &self.points[nearest.centre].z);
-        let other = rounds.known.iter().find(|d| d.centre != nearest.centre && nearest.centre != base);
+        let other = rounds.differences.iter().find(|d| d.centre != nearest.centre && nearest.centre != base);
         let share = other.map_or(0.0, |other| {
             let whole = difference(&self.points[other.centre].z, &self.points[nearest.centre].z);
             dot(&way, &whole) / dot(&whole, &whole)
@@ -135,14 +136,14 @@ impl LeastSquaresState {
         if self.is_zero(f)
             || !is_finite
             || !self.failed.is_empty()
-            || rounds.n_stuck > MOST_STUCK
+            || rounds.n_without_progress > MOST_WITHOUT_PROGRESS
             || (is_fine && !gains)
         {
             self.leave_rounds(&rounds, base);
             return Ok(());
         }
         rounds.base = base;
-        rounds.around = (!is_fine && (rounds.n_stuck > 0 || !gains)).then_some(base);
+        rounds.around = (!is_fine && (rounds.n_without_progress > 0 || !gains)).then_some(base);
         let n = self.n();
         let n_others = n + usize::from(!rounds.is_checked);
         // Further trial points fill the last part of the round.
@@ -199,15 +200,15 @@ impl LeastSquaresState {
         let mut rounds = rounds.clone();
         self.n_iterations += 1;
         self.operation = Some(Operation::TrustRegionStep);
-        let known = |candidate: &Candidate| match candidate.known {
+        let index_of = |candidate: &Candidate| match candidate.status {
             PointStatus::Point(k) => Some(k),
             _ => None,
         };
         let (f, z) = (self.points[rounds.base].cost, self.points[rounds.base].z.clone());
         let before = rounds.fine_at(rounds.base).cloned();
         let of_role = |role: Role| round.iter().filter(move |candidate| candidate.role == role);
-        let neighbours: Option<Vec<usize>> = of_role(Role::Difference).map(known).collect();
-        let centre = rounds.around.or_else(|| known(&round[0]));
+        let neighbours: Option<Vec<usize>> = of_role(Role::Difference).map(index_of).collect();
+        let centre = rounds.around.or_else(|| index_of(&round[0]));
         let differences = centre.zip(neighbours).map(|(centre, neighbours)| Differences {
             centre,
             neighbours,
@@ -218,7 +219,7 @@ impl LeastSquaresState {
             d.neighbours.iter().enumerate().all(|(k, place)| self.points[*place].z[k] != centre[k])
         };
         if let Some(differences) = differences.filter(is_apart) {
-            let check = of_role(Role::Check).filter_map(known).next();
+            let check = of_role(Role::Check).filter_map(index_of).next();
             let noise = check.map(|check| self.noise(&differences, check));
             rounds.is_checked |= check.is_some();
             match noise.filter(|noise| *noise > NOISY) {
@@ -233,14 +234,14 @@ impl LeastSquaresState {
                     rounds.is_checked = false;
                 }
                 None => {
-                    if rounds.known.len() > 1 {
-                        rounds.known.remove(0);
+                    if rounds.differences.len() > 1 {
+                        rounds.differences.remove(0);
                     }
-                    rounds.known.push(differences);
+                    rounds.differences.push(differences);
                 }
             }
         }
-        let trials = round.iter().filter_map(|candidate| match (&candidate.role, candidate.known) {
+        let trials = round.iter().filter_map(|candidate| match (&candidate.role, candidate.status) {
             (Role::Trial { predicted, radius }, PointStatus::Point(k)) => Some((k, *predicted, *radius)),
             _ => None,
         });
@@ -252,14 +253,14 @@ impl LeastSquaresState {
                 let shortest = round.iter().filter(|c| matches!(c.role, Role::Trial { .. }));
                 let shortest = shortest.map(|c| distance(&c.z, &z)).fold(f64::INFINITY, f64::min);
                 self.delta = 0.3 * shortest.min(self.delta);
-                rounds.n_stuck += 1;
+                rounds.n_without_progress += 1;
             } else {
                 self.delta = match ratio {
                     ratio if ratio < 0.1 => (0.5 * radius).min(length),
                     ratio if ratio < 0.7 => (0.5 * radius).max(length),
                     _ => (2.0 * radius).min((0.5 * radius).max(4.0 * length)).max(radius),
                 };
-                rounds.n_stuck = 0;
+                rounds.n_without_progress = 0;
             }
             self.curvature = before.filter(|_| ratio >= 0.3).map(|before| {
                 let mut rest = difference(&self.points[k].residuals, &self.points[rounds.base].residuals);

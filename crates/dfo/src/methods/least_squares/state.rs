@@ -12,7 +12,7 @@ use crate::method_interface::interface::{
 use crate::method_interface::linear_model::LinearModel;
 use crate::method_interface::tolerances::{TestedSet, ToleranceTests};
 use crate::methods::nelder_mead::{NelderMead, SimplexSearch};
-use crate::outcome::answer::{Answers, Best, Want};
+use crate::outcome::answer::{Answers, Best, EvaluationKind};
 use crate::outcome::termination::Termination;
 use crate::problem::memory;
 use crate::problem::space::clamp;
@@ -59,12 +59,13 @@ pub(super) struct Averaging {
     pub(super) centre: Vec<f64>,
     pub(super) radius: f64,
     /// Number of points requested since noise was found.
-    pub(super) n_asked: usize,
+    #[serde(rename = "n_asked")]
+    pub(super) n_requested: usize,
 }
 
 impl Averaging {
     pub(super) fn new(centre: &[f64], radius: f64) -> Self {
-        Self { centre: centre.to_vec(), radius, n_asked: 0 }
+        Self { centre: centre.to_vec(), radius, n_requested: 0 }
     }
 
     pub(super) fn is_sound(&self, n: usize) -> bool {
@@ -85,13 +86,15 @@ pub(super) struct Differences {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Rounds {
     /// The last two differences, oldest first.
-    pub(super) known: Vec<Differences>,
+    #[serde(rename = "known")]
+    pub(super) differences: Vec<Differences>,
     /// Difference step, in units of the parameters.
     pub(super) step: f64,
     /// True if the noise of the residuals has been checked.
     pub(super) is_checked: bool,
     /// Number of consecutive rounds without a better point.
-    pub(super) n_stuck: usize,
+    #[serde(rename = "n_stuck")]
+    pub(super) n_without_progress: usize,
     /// Best point before the round.
     pub(super) base: usize,
     /// Centre of the differences of the round, if it is not the first trial point.
@@ -101,7 +104,7 @@ pub(super) struct Rounds {
 impl Rounds {
     pub(super) fn is_sound(&self, n: usize, len: usize) -> bool {
         let of = |d: &Differences| d.neighbours.len() == n && d.points().all(|k| k < len);
-        self.known.iter().all(of)
+        self.differences.iter().all(of)
             && is_length(self.step)
             && self.base < len
             && self.around.is_none_or(|k| k < len)
@@ -109,12 +112,13 @@ impl Rounds {
 
     /// Returns the indices of the points in use.
     pub(super) fn points(&mut self) -> impl Iterator<Item = &mut usize> {
-        let known = self.known.iter_mut().flat_map(|d| d.neighbours.iter_mut().chain([&mut d.centre]));
-        known.chain([&mut self.base]).chain(&mut self.around)
+        let differences =
+            self.differences.iter_mut().flat_map(|d| d.neighbours.iter_mut().chain([&mut d.centre]));
+        differences.chain([&mut self.base]).chain(&mut self.around)
     }
 
     pub(super) fn fine_at(&self, centre: usize) -> Option<&Differences> {
-        self.known.iter().find(|d| d.is_fine && d.centre == centre)
+        self.differences.iter().find(|d| d.is_fine && d.centre == centre)
     }
 }
 
@@ -174,7 +178,8 @@ pub(super) struct Candidate {
     pub(super) z: Vec<f64>,
     pub(super) x: Vec<f64>,
     pub(super) retries: u32,
-    pub(super) known: PointStatus,
+    #[serde(rename = "known")]
+    pub(super) status: PointStatus,
 }
 
 /// A running least-squares search, created by [`LeastSquares`].
@@ -197,7 +202,8 @@ pub struct LeastSquaresState {
     pub(super) round: Vec<Candidate>,
     /// Model on the set; rebuilt if missing.
     pub(super) model: Option<Interpolation>,
-    asked: Vec<usize>,
+    #[serde(rename = "asked")]
+    requested: Vec<usize>,
     /// The last points requested by the simplex search.
     pub(super) simplex_points: Vec<Vec<f64>>,
     waiting: bool,
@@ -249,7 +255,7 @@ impl LeastSquaresState {
             phase: Phase::Starting,
             round: Vec::new(),
             model: None,
-            asked: Vec::new(),
+            requested: Vec::new(),
             simplex_points: Vec::new(),
             waiting: false,
             n_batches: 0,
@@ -293,7 +299,7 @@ impl LeastSquaresState {
         };
         let is_candidate = |c: &Candidate| {
             is_place(&c.z, &c.x)
-                && !matches!(c.known, PointStatus::Point(k) if k >= len)
+                && !matches!(c.status, PointStatus::Point(k) if k >= len)
                 && match c.role {
                     Role::Start(coordinate) => coordinate.is_none_or(|k| k < n),
                     Role::Geometry { instead } => instead < len,
@@ -321,7 +327,7 @@ impl LeastSquaresState {
             && self.set.iter().chain(&self.improving).all(|k| *k < len)
             && self.set.len() <= n + 1
             && self.model.as_ref().is_none_or(|model| model.is_sound(n, m) && model.base < self.set.len())
-            && self.asked.iter().all(|k| *k < self.round.len())
+            && self.requested.iter().all(|k| *k < self.round.len())
             && self.halt.as_ref().is_none_or(|halt| halt.z.len() == n)
             && (self.set.is_empty() == matches!(self.phase, Phase::Starting | Phase::NoStart))
             && match &self.phase {
@@ -354,7 +360,7 @@ impl LeastSquaresState {
     /// Adds a point to the round. The box and the rounding of the user's units shift the point slightly.
     pub(super) fn ask_for(&mut self, z: Vec<f64>, role: Role) {
         let (z, x) = self.placed(&z);
-        self.round.push(Candidate { role, z, x, retries: 0, known: PointStatus::Pending });
+        self.round.push(Candidate { role, z, x, retries: 0, status: PointStatus::Pending });
     }
 
     fn placed(&self, z: &[f64]) -> (Vec<f64>, Vec<f64>) {
@@ -431,7 +437,7 @@ impl LeastSquaresState {
             }
             self.failed.push(z.clone());
         }
-        let known = match (answer, role) {
+        let status = match (answer, role) {
             (Some((cost, residuals)), _) => {
                 self.best_seen.offer(x, cost);
                 let (z, x) = (z.clone(), x.clone());
@@ -446,7 +452,7 @@ impl LeastSquaresState {
             }
             (None, _) => PointStatus::Failed,
         };
-        self.round[place].known = known;
+        self.round[place].status = status;
     }
 
     /// Processes a round after all its points are known.
@@ -473,7 +479,7 @@ impl LeastSquaresState {
         let Some(start) = self.points.first().filter(|_| self.n_resized < MOST_RESIZED) else { return false };
         let mut found = Vec::new();
         for candidate in round {
-            let (Role::Start(Some(k)), PointStatus::Point(new)) = (&candidate.role, candidate.known) else {
+            let (Role::Start(Some(k)), PointStatus::Point(new)) = (&candidate.role, candidate.status) else {
                 continue;
             };
             let new = &self.points[new];
@@ -571,8 +577,8 @@ impl Method for LeastSquaresState {
 
     fn ask_unless(&mut self, context: &RunContext<'_>, batch: &mut Batch) {
         batch.start(self.setup.space.n(), self.n_batches, self.n_points);
-        batch.set_want(Want::Residuals);
-        self.asked.clear();
+        batch.set_kind(EvaluationKind::Residuals);
+        self.requested.clear();
         if self.round.is_empty() {
             let filled = self.ask_round(context).and_then(|()| self.descend(context));
             if filled.is_err() {
@@ -585,24 +591,24 @@ impl Method for LeastSquaresState {
         }
         if let Phase::Simplex(simplex) = &mut self.phase {
             simplex.ask(batch);
-            batch.set_want(Want::Residuals);
+            batch.set_kind(EvaluationKind::Residuals);
             self.simplex_points = batch.points().map(<[f64]>::to_vec).collect();
             self.waiting = !batch.is_empty();
             return;
         }
-        let is_first = |c: &Candidate| c.role == Role::Start(None) && c.known == PointStatus::Pending;
+        let is_first = |c: &Candidate| c.role == Role::Start(None) && c.status == PointStatus::Pending;
         let is_first = self.n() >= LARGE && self.round.first().is_some_and(is_first);
         let at_once = match &self.phase {
             _ if is_first => 1,
             Phase::Rounds(_) => self.options.batch.width(self.n()),
             _ => self.round.len(),
         };
-        let pending = self.round.iter().enumerate().filter(|(_, c)| c.known == PointStatus::Pending);
+        let pending = self.round.iter().enumerate().filter(|(_, c)| c.status == PointStatus::Pending);
         for (k, candidate) in pending.take(at_once) {
             batch.push(&candidate.x, f64::INFINITY);
-            self.asked.push(k);
+            self.requested.push(k);
         }
-        self.waiting = !self.asked.is_empty();
+        self.waiting = !self.requested.is_empty();
     }
 
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
@@ -613,15 +619,15 @@ impl Method for LeastSquaresState {
         if matches!(self.phase, Phase::Simplex(_)) {
             return self.tell_simplex(answers);
         }
-        let asked = self.asked.len();
-        let told = answers.len();
+        let requested = self.requested.len();
+        let received = answers.len();
         if !self.waiting {
             return Err(Error::TellWithoutAsk);
         }
-        if told > asked {
-            return Err(Error::TooManyOutcomes { asked, told });
+        if received > requested {
+            return Err(Error::TooManyOutcomes { requested, received });
         }
-        if let Some(m) = (0..told).find_map(|k| answers.residuals(k)).map(<[f64]>::len)
+        if let Some(m) = (0..received).find_map(|k| answers.residuals(k)).map(<[f64]>::len)
             && self.points.is_empty()
         {
             // The residuals of the method, and a working copy.
@@ -629,16 +635,16 @@ impl Method for LeastSquaresState {
         }
         self.waiting = false;
         self.n_batches += 1;
-        self.n_points += asked as u64;
-        for k in 0..told {
+        self.n_points += requested as u64;
+        for k in 0..received {
             let outcome = &answers.outcomes()[k];
-            if outcome.is_known() {
+            if outcome.is_conclusive() {
                 let cost = outcome.value();
-                self.take(self.asked[k], cost.zip(answers.take_residuals(k)));
+                self.take(self.requested[k], cost.zip(answers.take_residuals(k)));
             }
         }
-        self.asked.clear();
-        if self.round.iter().all(|candidate| candidate.known != PointStatus::Pending) {
+        self.requested.clear();
+        if self.round.iter().all(|candidate| candidate.status != PointStatus::Pending) {
             self.conclude();
         }
         Ok(())

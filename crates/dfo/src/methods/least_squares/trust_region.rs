@@ -73,10 +73,10 @@ impl LeastSquaresState {
         let (z, residuals) = (&self.points[base].z, &self.points[base].residuals[..]);
         let place = self.set.iter().position(|k| *k == base).unwrap_or(0);
         let counted: Vec<Cow<'_, [f64]>> = self.set.iter().map(|k| self.residuals_near(base, *k)).collect();
-        let known: Vec<Place<'_>> =
+        let points: Vec<Place<'_>> =
             self.set.iter().zip(&counted).map(|(k, r)| (&self.points[*k].z[..], &r[..])).collect();
-        if known.len() > self.n() {
-            return Interpolation::new(&known, place, context);
+        if points.len() > self.n() {
+            return Interpolation::new(&points, place, context);
         }
         let others = self.set.iter().filter(|k| **k != base).map(|k| difference(&self.points[*k].z, z));
         let others: Vec<Vec<f64>> = others.collect();
@@ -84,7 +84,7 @@ impl LeastSquaresState {
         let missing = missing.iter().map(|v| v.iter().zip(z).map(|(v, z)| z + v * self.delta).collect());
         let missing: Vec<Vec<f64>> = missing.collect();
         let all: Vec<Place<'_>> =
-            known.into_iter().chain(missing.iter().map(|z| (&z[..], residuals))).collect();
+            points.into_iter().chain(missing.iter().map(|z| (&z[..], residuals))).collect();
         Interpolation::new(&all, place, context)
     }
 
@@ -92,17 +92,17 @@ impl LeastSquaresState {
     /// is then curved. Otherwise the curvature of the loss would hide the slope of the cost. This happens
     /// between points whose residuals differ by the scale of the loss.
     pub(super) fn residuals_near(&self, base: usize, point: usize) -> Cow<'_, [f64]> {
-        let (loss, own) = (&self.setup.loss, &self.points[point].residuals);
-        let n = own.len();
+        let (loss, residuals) = (&self.setup.loss, &self.points[point].residuals);
+        let n = residuals.len();
         if loss.is_linear() || point == base {
-            return Cow::Borrowed(own);
+            return Cow::Borrowed(residuals);
         }
-        let counted = |(k, (at_base, own)): (usize, (&f64, &f64))| {
+        let counted = |(k, (at_base, residuals)): (usize, (&f64, &f64))| {
             let loss = loss.of_residual(k, n);
             let plain = loss.inverse(*at_base);
-            at_base + loss.slope(plain) * (loss.inverse(*own) - plain)
+            at_base + loss.slope(plain) * (loss.inverse(*residuals) - plain)
         };
-        self.points[base].residuals.iter().zip(own).enumerate().map(counted).collect()
+        self.points[base].residuals.iter().zip(residuals).enumerate().map(counted).collect()
     }
 
     /// Chooses a point and its nearest independent points as the set.
@@ -114,7 +114,7 @@ impl LeastSquaresState {
 
     /// Chooses the set around the best point of the set and of a round.
     fn choose_set_from(&mut self, round: &[Candidate]) {
-        let new = round.iter().filter_map(|candidate| match candidate.known {
+        let new = round.iter().filter_map(|candidate| match candidate.status {
             PointStatus::Point(k) => Some(k),
             _ => None,
         });
@@ -407,7 +407,7 @@ impl LeastSquaresState {
 
     /// Updates the state after a round.
     pub(super) fn descended(&mut self, round: &[Candidate]) {
-        match (&round[0].role, round[0].known) {
+        match (&round[0].role, round[0].status) {
             (Role::Geometry { instead }, PointStatus::Point(new)) => {
                 if let Some(place) = self.set.iter().position(|k| *k == *instead) {
                     let model = self.model.take().filter(|_| self.set.len() == self.n() + 1);
@@ -450,7 +450,7 @@ impl LeastSquaresState {
         self.operation = Some(Operation::TrustRegionStep);
         let base = self.base();
         let (f, z) = (self.points[base].cost, self.points[base].z.clone());
-        let mut trials = round.iter().filter_map(|candidate| match (&candidate.role, candidate.known) {
+        let mut trials = round.iter().filter_map(|candidate| match (&candidate.role, candidate.status) {
             (Role::Trial { predicted, radius }, PointStatus::Point(k)) => Some((k, *predicted, *radius)),
             _ => None,
         });

@@ -73,8 +73,8 @@ pub(super) fn tests(sample: &RankedPoints, used: &[bool]) -> Vec<usize> {
 pub(super) fn enter(space: &Space, minima: &mut Vec<Optimum>, found: Optimum) {
     let (mut u, mut v) = (vec![0.0; space.n_free()], vec![0.0; space.n_free()]);
     space.to_working(&found.x, &mut u);
-    let same = minima.iter().position(|known| {
-        space.to_working(&known.x, &mut v);
+    let same = minima.iter().position(|minimum| {
+        space.to_working(&minimum.x, &mut v);
         (0..u.len()).all(|k| (u[k] - v[k]).abs() <= SAME * space.width(k).unwrap_or(1.0))
     });
     match same {

@@ -3,32 +3,37 @@
 use super::speculative_searches::SpeculativeSearches;
 use super::state::{MultistartState, SIDE_BY_SIDE, Search};
 use crate::method_interface::interface::{AnswersSoFar, Batch, MethodOptions};
-use crate::outcome::answer::Want;
+use crate::outcome::answer::EvaluationKind;
 use crate::problem::objective::Query;
 
 impl MultistartState {
     /// Advances copies of the running searches and of the next ones in the queue as far as answers are
     /// available.
-    pub(super) fn look_ahead(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
-        let want = if self.options.needs_residuals() { Want::Residuals } else { Want::Cost };
-        let at = |asked: &Batch, k: usize| {
-            let cutoff = if want == Want::Cost { asked.cutoff(k) } else { f64::INFINITY };
-            known.ahead(asked.point(k), &Query::new(0, 0, cutoff).want(want))
+    pub(super) fn look_ahead(&mut self, wanted: usize, answers_so_far: &dyn AnswersSoFar, batch: &mut Batch) {
+        let kind =
+            if self.options.needs_residuals() { EvaluationKind::Residuals } else { EvaluationKind::Cost };
+        let at = |requested: &Batch, k: usize| {
+            let cutoff = if kind == EvaluationKind::Cost { requested.cutoff(k) } else { f64::INFINITY };
+            answers_so_far.ahead(requested.point(k), &Query::new(0, 0, cutoff).kind(kind))
         };
         let mut left = wanted;
         let (mut first, mut n_ahead) = (0, 0);
         for j in 0..self.searches.len() {
             let (place, Some(mut ahead)) = (first, self.take_ahead(j)) else { return };
-            first += self.searches[j].asked.len();
-            let is_asked = first > place;
-            ahead.advance(&|asked, k, is_same| {
-                if is_same && is_asked { known.answer(place + k).cloned() } else { at(asked, k) }
+            first += self.searches[j].requested.len();
+            let is_requested = first > place;
+            ahead.advance(&|requested, k, is_same| {
+                if is_same && is_requested {
+                    answers_so_far.answer(place + k).cloned()
+                } else {
+                    at(requested, k)
+                }
             });
             n_ahead += ahead.n_ahead();
-            if ahead.is_ahead() || !is_asked {
+            if ahead.is_ahead() || !is_requested {
                 for (x, cutoff) in ahead.points() {
                     batch.push(x, cutoff);
-                    left = left.saturating_sub(usize::from(!known.contains(x)));
+                    left = left.saturating_sub(usize::from(!answers_so_far.contains(x)));
                 }
             }
             self.ahead.push(ahead);
@@ -42,11 +47,11 @@ impl MultistartState {
         let share = (wanted / 2).div_ceil(1 + n_next);
         if is_alone {
             batch.all_certain();
-            self.guess(share, known, batch);
+            self.guess(share, answers_so_far, batch);
         }
         // Next searches in the queue, unless the budget ends before.
         let mut budget = self.core.setup.max_evaluations.map_or(usize::MAX, |most| {
-            most.saturating_sub(self.core.n_points as usize + self.asked.len() + n_ahead)
+            most.saturating_sub(self.core.n_points as usize + self.requested.len() + n_ahead)
         });
         for k in 0..self.core.queue.len() {
             if left == 0 || budget == 0 {
@@ -61,28 +66,28 @@ impl MultistartState {
                     Err(_) => break,
                 },
             };
-            ahead.advance(&|asked, k, _| at(asked, k));
+            ahead.advance(&|requested, k, _| at(requested, k));
             budget = budget.saturating_sub(ahead.n_ahead());
             for (x, cutoff) in ahead.points().take(budget) {
                 batch.push(x, cutoff);
-                left = left.saturating_sub(usize::from(!known.contains(x)));
+                left = left.saturating_sub(usize::from(!answers_so_far.contains(x)));
                 budget -= 1;
             }
             if k < n_next {
-                ahead.method.speculate(share.saturating_sub(1), known, batch);
+                ahead.method.speculate(share.saturating_sub(1), answers_so_far, batch);
                 left = left.saturating_sub(share);
             }
             self.ahead.push(ahead);
         }
         if !is_alone {
             batch.all_certain();
-            self.guess(left, known, batch);
+            self.guess(left, answers_so_far, batch);
         }
     }
 
     /// Adds points that the least advanced searches may need, the same number for each search. The path waits
     /// for these searches next.
-    fn guess(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
+    fn guess(&mut self, wanted: usize, answers_so_far: &dyn AnswersSoFar, batch: &mut Batch) {
         let Self { searches, ahead, .. } = self;
         let is_under_way =
             |ahead: &SpeculativeSearches| searches.iter().any(|search| search.start == ahead.start);
@@ -91,7 +96,7 @@ impl MultistartState {
         let least = last.iter().map(|ahead| ahead.n_ahead()).min();
         last.retain(|ahead| Some(ahead.n_ahead()) == least);
         let share = wanted.div_ceil(last.len().max(1));
-        last.into_iter().for_each(|ahead| ahead.method.speculate(share, known, batch));
+        last.into_iter().for_each(|ahead| ahead.method.speculate(share, answers_so_far, batch));
     }
 
     /// Returns the stored copy of a running search, or a new copy.

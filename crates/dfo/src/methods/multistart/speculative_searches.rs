@@ -15,47 +15,48 @@ pub(super) struct SpeculativeSearches {
     pub(super) start: Vec<f64>,
     pub(super) method: Box<dyn Method + Send>,
     /// Points requested by the copy.
-    pub(super) asked: Batch,
+    pub(super) requested: Batch,
     /// Answers processed by the copy but not yet by the search.
-    told: VecDeque<Answers>,
+    received: VecDeque<Answers>,
     is_over: bool,
 }
 
 impl SpeculativeSearches {
     /// Creates a copy of the search from this point.
     pub(super) fn new(start: Vec<f64>, method: Box<dyn Method + Send>) -> Self {
-        let mut ahead = Self { start, method, asked: Batch::new(), told: VecDeque::new(), is_over: false };
+        let mut ahead =
+            Self { start, method, requested: Batch::new(), received: VecDeque::new(), is_over: false };
         ahead.ask();
         ahead
     }
 
     fn ask(&mut self) {
-        self.method.ask(&mut self.asked);
-        self.is_over = self.method.status() != Status::Running || self.asked.is_empty();
+        self.method.ask(&mut self.requested);
+        self.is_over = self.method.status() != Status::Running || self.requested.is_empty();
     }
 
     fn tell(&mut self, answers: &Answers) -> bool {
-        let is_told = !self.is_over && self.method.tell(answers).is_ok();
-        if is_told {
+        let is_received = !self.is_over && self.method.tell(answers).is_ok();
+        if is_received {
             self.ask();
         }
-        is_told
+        is_received
     }
 
     /// True if the copy is ahead of its search.
     pub(super) fn is_ahead(&self) -> bool {
-        !self.told.is_empty()
+        !self.received.is_empty()
     }
 
     /// Returns the number of evaluations by which the copy is ahead of its search.
     pub(super) fn n_ahead(&self) -> usize {
-        self.told.iter().map(Answers::len).sum()
+        self.received.iter().map(Answers::len).sum()
     }
 
     /// Follows the search, which has processed `answers`. Returns true if the copy is still on the path of
     /// the search.
     pub(super) fn follow(&mut self, answers: &Answers) -> bool {
-        match self.told.pop_front() {
+        match self.received.pop_front() {
             Some(before) => before == *answers,
             None => self.tell(answers),
         }
@@ -64,10 +65,11 @@ impl SpeculativeSearches {
     /// Advances the copy while all answers to its requests are available. The arguments of `answer` are the
     /// batch, the index in the batch, and whether the search requests the same batch.
     pub(super) fn advance(&mut self, answer: &dyn Fn(&Batch, usize, bool) -> Option<Answer>) {
-        while !self.is_over && self.told.len() < MOST_BATCHES {
+        while !self.is_over && self.received.len() < MOST_BATCHES {
             let mut answers = Answers::default();
-            for k in 0..self.asked.len() {
-                let Some(Answer { outcome, residuals, .. }) = answer(&self.asked, k, !self.is_ahead()) else {
+            for k in 0..self.requested.len() {
+                let Some(Answer { outcome, residuals, .. }) = answer(&self.requested, k, !self.is_ahead())
+                else {
                     return;
                 };
                 answers.push(outcome, &residuals);
@@ -75,13 +77,13 @@ impl SpeculativeSearches {
             if !self.tell(&answers) {
                 return;
             }
-            self.told.push_back(answers);
+            self.received.push_back(answers);
         }
     }
 
     /// Returns the requested points with their cutoffs.
     pub(super) fn points(&self) -> impl Iterator<Item = (&[f64], f64)> {
-        let len = if self.is_over { 0 } else { self.asked.len() };
-        (0..len).map(|k| (self.asked.point(k), self.asked.cutoff(k)))
+        let len = if self.is_over { 0 } else { self.requested.len() };
+        (0..len).map(|k| (self.requested.point(k), self.requested.cutoff(k)))
     }
 }

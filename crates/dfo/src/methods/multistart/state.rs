@@ -16,7 +16,7 @@ use crate::methods::shared::cost::Cost;
 use crate::methods::shared::pending_generation::PendingGeneration;
 use crate::methods::shared::population::MAX_MEMBERS;
 use crate::methods::shared::ranked_points::RankedPoints;
-use crate::outcome::answer::{Answers, Best, Want};
+use crate::outcome::answer::{Answers, Best, EvaluationKind};
 use crate::outcome::termination::Termination;
 use base::RunContext;
 use serde::{Deserialize, Serialize};
@@ -98,7 +98,7 @@ pub(super) struct Search {
     pub(super) start: Vec<f64>,
     pub(super) method: Box<dyn Method + Send>,
     /// Points of the search in the last batch.
-    pub(super) asked: Batch,
+    pub(super) requested: Batch,
 }
 
 /// Stored form, with the inner methods as separate states.
@@ -117,8 +117,8 @@ pub struct MultistartState {
     pub(super) searches: Vec<Search>,
     pub(super) ahead: Vec<SpeculativeSearches>,
     /// The last requested batch of all searches; empty if no points are pending.
-    pub(super) asked: Batch,
-    told: Answers,
+    pub(super) requested: Batch,
+    received: Answers,
 }
 
 impl fmt::Debug for MultistartState {
@@ -172,15 +172,15 @@ impl MultistartState {
     }
 
     fn of(options: &Multistart, core: Core, exploration: Option<Box<dyn Method + Send>>) -> Self {
-        let (asked, told) = (Batch::new(), Answers::default());
+        let (requested, received) = (Batch::new(), Answers::default());
         Self {
             options: options.clone(),
             core,
             exploration,
             searches: Vec::new(),
             ahead: Vec::new(),
-            asked,
-            told,
+            requested,
+            received,
         }
     }
 
@@ -248,7 +248,7 @@ impl MultistartState {
     /// Adds a search from a point, or restores it from a state.
     fn add(&mut self, start: Vec<f64>, state: Option<&[u8]>) -> Result<(), Error> {
         let method = self.options.search(&self.setup_at(&start), state)?;
-        self.searches.push(Search { start, method, asked: Batch::new() });
+        self.searches.push(Search { start, method, requested: Batch::new() });
         Ok(())
     }
 
@@ -296,8 +296,8 @@ impl MultistartState {
         if !self.searches.is_empty() {
             // Request the next sample early, so that enough searches are available before the last current
             // one has ended.
-            let has_room = self.first_has_ended() && self.searches.len() < self.at_once();
-            if has_room && !is_last && !sample.is_pending() {
+            let has_capacity = self.first_has_ended() && self.searches.len() < self.at_once();
+            if has_capacity && !is_last && !sample.is_pending() {
                 self.enlarge()?;
             }
             self.core.phase = Phase::Searching;
@@ -354,7 +354,7 @@ impl MultistartState {
         let Some(exploration) = &mut self.exploration else { return Ok(()) };
         exploration.tell(answers)?;
         let core = &mut self.core;
-        core.n_explored += answers.outcomes().iter().filter(|o| o.is_known()).count();
+        core.n_explored += answers.outcomes().iter().filter(|o| o.is_conclusive()).count();
         let (details, status) = (exploration.details(), exploration.status());
         match (details.operation, details.population) {
             (Some(Operation::Initial), Some(population)) if core.operation.is_none() => {
@@ -387,25 +387,25 @@ impl MultistartState {
     fn searched(&mut self, answers: &Answers) -> Result<(), Error> {
         let mut first = 0;
         for search in &mut self.searches {
-            let len = search.asked.len();
-            self.told.clear();
+            let len = search.requested.len();
+            self.received.clear();
             for k in first..(first + len).min(answers.len()) {
-                self.told.push(answers.outcomes()[k].clone(), answers.residuals(k).unwrap_or_default());
+                self.received.push(answers.outcomes()[k].clone(), answers.residuals(k).unwrap_or_default());
             }
             first += len;
             if len > 0 {
-                search.method.tell(&self.told)?;
-                self.ahead.retain_mut(|ahead| ahead.start != search.start || ahead.follow(&self.told));
+                search.method.tell(&self.received)?;
+                self.ahead.retain_mut(|ahead| ahead.start != search.start || ahead.follow(&self.received));
             }
         }
         self.core.operation = Some(Operation::LocalSearches);
         if self.core.sample.is_pending() {
             // The remaining points belong to the next sample.
-            self.told.clear();
+            self.received.clear();
             for k in first..answers.len() {
-                self.told.push(answers.outcomes()[k].clone(), answers.residuals(k).unwrap_or_default());
+                self.received.push(answers.outcomes()[k].clone(), answers.residuals(k).unwrap_or_default());
             }
-            if self.core.rounds.tell(&self.told, &mut self.core.sample)? {
+            if self.core.rounds.tell(&self.received, &mut self.core.sample)? {
                 self.sampled()?;
             }
         }
@@ -445,10 +445,10 @@ impl MultistartState {
     fn leave_half_to_the_first(&mut self) {
         let Core { n_elsewhere, setup, .. } = &self.core;
         let Some(budget) = setup.max_evaluations.filter(|_| !self.first_has_ended()) else { return };
-        let wanted: usize = self.searches.iter().skip(1).map(|search| search.asked.len()).sum();
+        let wanted: usize = self.searches.iter().skip(1).map(|search| search.requested.len()).sum();
         if n_elsewhere + wanted > budget / 2 {
             for search in self.searches.iter_mut().skip(1) {
-                search.asked = Batch::new();
+                search.requested = Batch::new();
             }
         }
     }
@@ -457,7 +457,7 @@ impl MultistartState {
     fn ask_searches(&mut self) {
         loop {
             for search in &mut self.searches {
-                search.method.ask(&mut search.asked);
+                search.method.ask(&mut search.requested);
             }
             if self.searches.iter().all(|search| search.method.status() == Status::Running) {
                 self.leave_half_to_the_first();
@@ -483,69 +483,70 @@ impl Method for MultistartState {
         if self.core.phase == Phase::Searching {
             self.ask_searches();
         }
-        let Self { core, exploration, searches, asked, options, .. } = self;
+        let Self { core, exploration, searches, requested, options, .. } = self;
         let n = core.setup.space.n();
         batch.start(n, core.n_batches, core.n_points);
         let mut take = |from: &Batch| (0..from.len()).for_each(|k| batch.push(from.point(k), from.cutoff(k)));
-        let mut wants_residuals = options.needs_residuals();
+        let mut needs_residuals = options.needs_residuals();
         match core.phase {
             Phase::Sampling => {
-                core.rounds.ask(asked, n, &core.sample, |_| f64::INFINITY);
-                take(asked);
+                core.rounds.ask(requested, n, &core.sample, |_| f64::INFINITY);
+                take(requested);
             }
             Phase::Exploring => {
-                wants_residuals = false;
+                needs_residuals = false;
                 if let Some(exploration) = exploration {
-                    exploration.ask(asked);
-                    take(asked);
+                    exploration.ask(requested);
+                    take(requested);
                 }
             }
             Phase::Searching => {
-                searches.iter().for_each(|search| take(&search.asked));
+                searches.iter().for_each(|search| take(&search.requested));
                 if core.sample.is_pending() {
-                    core.rounds.ask(asked, n, &core.sample, |_| f64::INFINITY);
-                    take(asked);
+                    core.rounds.ask(requested, n, &core.sample, |_| f64::INFINITY);
+                    take(requested);
                 }
             }
             Phase::NoStart | Phase::Ended(_) => {}
         }
-        if wants_residuals {
-            batch.set_want(Want::Residuals);
+        if needs_residuals {
+            batch.set_kind(EvaluationKind::Residuals);
         }
-        asked.clone_from(batch);
+        requested.clone_from(batch);
     }
 
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
-        let (asked, outcomes) = (std::mem::take(&mut self.asked), answers.outcomes());
-        if asked.is_empty() {
+        let (requested, outcomes) = (std::mem::take(&mut self.requested), answers.outcomes());
+        if requested.is_empty() {
             return Err(Error::TellWithoutAsk);
         }
-        if outcomes.len() > asked.len() {
-            let error = Error::TooManyOutcomes { asked: asked.len(), told: outcomes.len() };
-            self.asked = asked;
+        if outcomes.len() > requested.len() {
+            let error = Error::TooManyOutcomes { requested: requested.len(), received: outcomes.len() };
+            self.requested = requested;
             return Err(error);
         }
         let core = &mut self.core;
         core.n_batches += 1;
-        core.n_points += asked.len() as u64;
+        core.n_points += requested.len() as u64;
         for (k, outcome) in outcomes.iter().enumerate() {
             let Some(cost) = outcome.value() else { continue };
-            core.best.offer(asked.point(k), cost);
+            core.best.offer(requested.point(k), cost);
         }
         core.n_iterations += usize::from(core.operation.is_some());
         match core.phase {
             Phase::Sampling => {
-                core.n_elsewhere += asked.len();
+                core.n_elsewhere += requested.len();
                 if core.rounds.tell(answers, &mut core.sample)? {
                     self.sampled()?;
                 }
             }
             Phase::Exploring => {
-                core.n_elsewhere += asked.len();
+                core.n_elsewhere += requested.len();
                 self.explored(answers)?;
             }
             Phase::Searching => {
-                core.n_elsewhere += asked.len() - self.searches.first().map_or(0, |first| first.asked.len());
+                core.n_elsewhere +=
+                    requested.len() - self.searches.first().map_or(0, |first| first.requested.len());
                 self.searched(answers)?;
             }
             Phase::NoStart | Phase::Ended(_) => {}
@@ -553,14 +554,14 @@ impl Method for MultistartState {
         Ok(())
     }
 
-    fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
+    fn speculate(&mut self, wanted: usize, answers_so_far: &dyn AnswersSoFar, batch: &mut Batch) {
         match self.core.phase {
-            Phase::Exploring if self.core.n_explored + self.asked.len() < self.core.n_planned => {
+            Phase::Exploring if self.core.n_explored + self.requested.len() < self.core.n_planned => {
                 if let Some(exploration) = &mut self.exploration {
-                    exploration.speculate(wanted, known, batch);
+                    exploration.speculate(wanted, answers_so_far, batch);
                 }
             }
-            Phase::Searching => self.look_ahead(wanted, known, batch),
+            Phase::Searching => self.look_ahead(wanted, answers_so_far, batch),
             _ => {}
         }
     }

@@ -55,7 +55,7 @@ fn regular(space: &Space) -> RankedPoints {
     let n = space.n_free();
     let root = (n as f64 + 1.0).sqrt();
     let unit = FREE_FRACTION / (n as f64 * 2f64.sqrt());
-    let (own, other) = (unit * (root + n as f64 - 1.0), unit * (root - 1.0));
+    let (along, across) = (unit * (root + n as f64 - 1.0), unit * (root - 1.0));
     let mut simplex = RankedPoints::new(space, n + 1);
     let mut start = vec![0.0; n];
     space.to_working(space.x0(), &mut start);
@@ -64,14 +64,14 @@ fn regular(space: &Space) -> RankedPoints {
     for vertex in 1..=n {
         let mut u = start.clone();
         for (k, u) in u.iter_mut().enumerate() {
-            let moved = *u + if k + 1 == vertex { own } else { other } * outward(space, k);
+            let moved = *u + if k + 1 == vertex { along } else { across } * outward(space, k);
             *u = if moved.is_finite() { moved } else { *u };
         }
         // At a huge start value, the step must still change the value.
         if u[vertex - 1] == start[vertex - 1] {
             u[vertex - 1] = stepped(
                 start[vertex - 1],
-                own * outward(space, vertex - 1),
+                along * outward(space, vertex - 1),
                 (f64::NEG_INFINITY, f64::INFINITY),
             );
         }

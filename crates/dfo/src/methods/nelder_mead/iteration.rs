@@ -133,7 +133,7 @@ impl NelderMeadState {
                 let from = (self.simplex.x(self.simplex.best()), tests.f_best);
                 self.sizes = Some(SizeSearch::beside(space, from, limit, self.sizes.as_ref()));
                 self.phase = Phase::Checking;
-                self.size_step_told();
+                self.size_step_answered();
             } else {
                 self.converged(tests.f_limit);
             }
@@ -183,13 +183,13 @@ impl NelderMeadState {
     }
 
     /// Processes a step of a size search, or the start point of the search.
-    pub(super) fn size_step_told(&mut self) {
+    pub(super) fn size_step_answered(&mut self) {
         let space = &mut self.setup.space;
         match (&self.sizes, self.simplex.cost(0)) {
             (None, Cost::Pending) => {}
             (None, Cost::Value(f_0)) => {
                 self.sizes = Some(SizeSearch::from_start(space, self.simplex.x(0), f_0));
-                self.size_step_told();
+                self.size_step_answered();
             }
             // Without a cost at the start, no comparison is possible.
             (None, Cost::Failed) => self.phase = Phase::Starting,
@@ -204,14 +204,14 @@ impl NelderMeadState {
                 self.simplex = initial::around(space, search);
                 self.phase = if self.phase == Phase::Checking { Phase::Restarting } else { Phase::Starting };
                 if !self.simplex.is_pending() {
-                    self.vertices_known();
+                    self.vertices_evaluated();
                 }
             }
         }
     }
 
     /// Continues after all requested vertices are known.
-    pub(super) fn vertices_known(&mut self) {
+    pub(super) fn vertices_evaluated(&mut self) {
         let phase = self.phase;
         self.simplex.sort();
         match phase {

@@ -44,14 +44,14 @@ impl SimplexSearch {
     /// Returns the details of the simplex search. Details that are not known yet come from the preceding
     /// search.
     pub(crate) fn details(&self, before: MethodDetails<'static>) -> MethodDetails<'_> {
-        let own = self.state.details();
+        let of_simplex = self.state.details();
         MethodDetails {
-            n_iterations: before.n_iterations + own.n_iterations,
-            operation: own.operation.or(before.operation),
-            tests: own.tests.or(before.tests),
+            n_iterations: before.n_iterations + of_simplex.n_iterations,
+            operation: of_simplex.operation.or(before.operation),
+            tests: of_simplex.tests.or(before.tests),
             roughness: before.roughness,
             handed_over: before.roughness.map(|_| self.n_points),
-            ..own
+            ..of_simplex
         }
     }
 }

@@ -35,11 +35,11 @@ pub(super) struct Problem<'a> {
     pub(super) handling: BoundsHandling,
     pub(super) numbers: &'a CoefficientValues,
     pub(super) simplex: &'a RankedPoints,
-    pub(super) known: &'a dyn Fn(&[f64]) -> KnownCost,
+    pub(super) available_cost: &'a dyn Fn(&[f64]) -> AvailableCost,
 }
 
 /// Knowledge about a point that the path has not reached.
-pub(super) enum KnownCost {
+pub(super) enum AvailableCost {
     Nothing,
     /// The point needs no further evaluation. The cost is infinite if it is only known to be high.
     Cost(f64),
@@ -134,12 +134,14 @@ impl Speculation {
             let Some(guess) = self.guesses.pop() else { return };
             let number = self.place(problem, guess);
             let x = &self.points[number].x;
-            let known = (problem.known)(x);
-            self.costs[number] = match known {
-                KnownCost::Cost(cost) => Some(cost),
-                KnownCost::Nothing | KnownCost::Hidden => None,
+            let available_cost = (problem.available_cost)(x);
+            self.costs[number] = match available_cost {
+                AvailableCost::Cost(cost) => Some(cost),
+                AvailableCost::Nothing | AvailableCost::Hidden => None,
             };
-            if matches!(known, KnownCost::Nothing) && self.points[..number].iter().all(|p| p.x != *x) {
+            if matches!(available_cost, AvailableCost::Nothing)
+                && self.points[..number].iter().all(|p| p.x != *x)
+            {
                 found(x, guess.node == 0 && guess.trial == Trial::Expansion);
                 n_found += 1;
             }
@@ -274,7 +276,7 @@ impl Speculation {
     /// the reflection. After a contraction: acceptance as a vertex that is not the worst, acceptance as the
     /// worst vertex.
     fn shares(&self, simplex: &RankedPoints, guess: Guess, point: usize) -> [f64; 4] {
-        self.known_shares(simplex, guess, point).unwrap_or(match guess.trial {
+        self.shares_from_costs(simplex, guess, point).unwrap_or(match guess.trial {
             Trial::Reflection => [INSIDE, EXPANDING, OUTSIDE, ACCEPTED],
             Trial::Expansion => [EXPANDED, 1.0 - EXPANDED, 0.0, 0.0],
             Trial::Outside | Trial::Inside => [BETTER_THAN_WORST, 1.0 - BETTER_THAN_WORST, 0.0, 0.0],
@@ -282,7 +284,7 @@ impl Speculation {
     }
 
     /// Returns the outcomes of `shares` if the costs determine them.
-    fn known_shares(&self, simplex: &RankedPoints, guess: Guess, point: usize) -> Option<[f64; 4]> {
+    fn shares_from_costs(&self, simplex: &RankedPoints, guess: Guess, point: usize) -> Option<[f64; 4]> {
         let (n, node) = (simplex.n, guess.node);
         let order = self.order(node, n);
         let at = |rank: usize| self.cost(simplex, node, order[rank]);

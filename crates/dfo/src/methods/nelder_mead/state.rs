@@ -5,7 +5,7 @@
 
 use super::options::CoefficientValues;
 use super::restart::Spreads;
-use super::speculation::{KnownCost, Problem, Speculation};
+use super::speculation::{AvailableCost, Problem, Speculation};
 use super::trial::{Seen, Trial, TrialPoint};
 use crate::error::Error;
 use crate::method_interface::interface::{
@@ -105,7 +105,8 @@ pub struct NelderMeadState {
     pub(super) waiting: bool,
     /// Number of points in the last batch of the check.
     #[serde(default)]
-    n_asked: usize,
+    #[serde(rename = "n_asked")]
+    n_requested: usize,
     pub(super) n_batches: u64,
     pub(super) n_points: u64,
     pub(super) n_iterations: usize,
@@ -146,7 +147,7 @@ impl NelderMeadState {
             ended: None,
             roles: Vec::with_capacity(n + 1),
             waiting: false,
-            n_asked: 0,
+            n_requested: 0,
             n_batches: 0,
             n_points: 0,
             n_iterations: 0,
@@ -173,12 +174,12 @@ impl NelderMeadState {
     }
 
     /// Processes the outcomes of the check near failed points.
-    fn check_told(&mut self, answers: &Answers) -> Result<(), Error> {
+    fn check_answers(&mut self, answers: &Answers) -> Result<(), Error> {
         let Some(check) = &mut self.check else { return Ok(()) };
         let ended = check.tell(answers, &self.setup)?;
         self.waiting = false;
         self.n_batches += 1;
-        self.n_points += self.n_asked as u64;
+        self.n_points += self.n_requested as u64;
         if let Some(termination) = ended {
             self.end(termination);
         }
@@ -206,7 +207,7 @@ impl NelderMeadState {
 
 /// Returns the cost of an outcome, or `Err` if the outcome is unknown.
 fn cost_of(outcome: &Outcome) -> Result<Option<f64>, ()> {
-    if outcome.is_known() { Ok(outcome.value()) } else { Err(()) }
+    if outcome.is_conclusive() { Ok(outcome.value()) } else { Err(()) }
 }
 
 impl Method for NelderMeadState {
@@ -230,7 +231,7 @@ impl Method for NelderMeadState {
             Phase::BesideFailures => {
                 if let Some(check) = &mut self.check {
                     check.ask(batch);
-                    self.n_asked = batch.len();
+                    self.n_requested = batch.len();
                 }
             }
             Phase::Sizing | Phase::Checking => {
@@ -255,20 +256,20 @@ impl Method for NelderMeadState {
 
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
         let outcomes = answers.outcomes();
-        let asked = self.roles.len();
+        let requested = self.roles.len();
         if !self.waiting {
             return Err(Error::TellWithoutAsk);
         }
         if self.phase == Phase::BesideFailures {
-            return self.check_told(answers);
+            return self.check_answers(answers);
         }
-        if outcomes.len() > asked {
-            return Err(Error::TooManyOutcomes { asked, told: outcomes.len() });
+        if outcomes.len() > requested {
+            return Err(Error::TooManyOutcomes { requested, received: outcomes.len() });
         }
         self.waiting = false;
-        if asked > 0 {
+        if requested > 0 {
             self.n_batches += 1;
-            self.n_points += asked as u64;
+            self.n_points += requested as u64;
         }
         for (k, outcome) in outcomes.iter().enumerate() {
             let Ok(cost) = cost_of(outcome) else { continue };
@@ -300,10 +301,10 @@ impl Method for NelderMeadState {
             Phase::Done | Phase::BesideFailures => {}
             Phase::Starting | Phase::Shrinking | Phase::Restarting => {
                 if !self.simplex.is_pending() {
-                    self.vertices_known();
+                    self.vertices_evaluated();
                 }
             }
-            Phase::Sizing | Phase::Checking => self.size_step_told(),
+            Phase::Sizing | Phase::Checking => self.size_step_answered(),
             Phase::Evaluating(_) => match self.decide() {
                 Err(needed) => self.phase = Phase::Evaluating(needed),
                 Ok(Operation::Shrink) => self.phase = Phase::Shrinking,
@@ -313,19 +314,20 @@ impl Method for NelderMeadState {
         Ok(())
     }
 
-    fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
+    fn speculate(&mut self, wanted: usize, answers_so_far: &dyn AnswersSoFar, batch: &mut Batch) {
         let Phase::Evaluating(trial) = self.phase else { return };
         let (cutoff, best) = (self.worst_cost(), self.simplex.cost(self.simplex.best()).value());
         // A reflection that leads to an expansion is better than the best vertex.
         let best = best.filter(|_| cutoff.is_finite()).unwrap_or(f64::INFINITY);
         let Self { speculation, simplex, setup, trials, numbers, handling, .. } = self;
-        let known = |x: &[f64]| match known.ahead(x, &Query::new(0, 0, cutoff)) {
-            Some(answer) => KnownCost::Cost(answer.outcome.value().unwrap_or(f64::INFINITY)),
-            None if known.contains(x) => KnownCost::Hidden,
-            None => KnownCost::Nothing,
+        let available_cost = |x: &[f64]| match answers_so_far.ahead(x, &Query::new(0, 0, cutoff)) {
+            Some(answer) => AvailableCost::Cost(answer.outcome.value().unwrap_or(f64::INFINITY)),
+            None if answers_so_far.contains(x) => AvailableCost::Hidden,
+            None => AvailableCost::Nothing,
         };
         let space = &setup.space;
-        let problem = Problem { space, handling: *handling, numbers, simplex, known: &known };
+        let problem =
+            Problem { space, handling: *handling, numbers, simplex, available_cost: &available_cost };
         speculation.look(&problem, trial, trials, wanted, |x, expansion| {
             batch.push(x, if expansion { best.min(cutoff) } else { cutoff });
         });

@@ -113,8 +113,8 @@ impl Polling {
             return;
         }
         let mut gradient = std::mem::take(&mut partial.derivatives);
-        let known: f64 = gradient.iter().zip(&partial.step).map(|(g, s)| g * s).sum();
-        gradient[implied] = (partial.change - known) / partial.step[implied];
+        let explained: f64 = gradient.iter().zip(&partial.step).map(|(g, s)| g * s).sum();
+        gradient[implied] = (partial.change - explained) / partial.step[implied];
         let space = &self.setup.space;
         let at = |is_at: &dyn Fn(f64, (f64, f64)) -> bool| -> Vec<bool> {
             self.best.u(0).iter().enumerate().map(|(k, u)| is_at(*u, space.working_bounds(k))).collect()
@@ -167,7 +167,12 @@ impl Polling {
     }
 
     /// Adds the points that follow if the step does not lead down.
-    pub(super) fn speculate_on_descent(&self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
+    pub(super) fn speculate_on_descent(
+        &self,
+        wanted: usize,
+        answers_so_far: &dyn AnswersSoFar,
+        batch: &mut Batch,
+    ) {
         let Some(descent) = &self.descent else { return };
         let mut ahead = self.trial.clone();
         let (from, implied) = match &descent.partial {
@@ -179,7 +184,7 @@ impl Polling {
                 return;
             }
             let u = ahead.0.clone();
-            if self.place_beside(&u, axis, descent.scale, &mut ahead) && !known.contains(&ahead.1) {
+            if self.place_beside(&u, axis, descent.scale, &mut ahead) && !answers_so_far.contains(&ahead.1) {
                 batch.push(&ahead.1, f64::INFINITY);
             }
         }

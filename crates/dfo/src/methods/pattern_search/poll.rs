@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn radical_inverse_matches_known_values() {
+    fn radical_inverse_matches_reference_values() {
         let values: Vec<f64> = (1..6).map(|i| radical_inverse(i, 2)).collect();
         assert_eq!(values, [0.5, 0.25, 0.75, 0.125, 0.625]);
         assert!((radical_inverse(5, 3) - (2.0 / 3.0 + 1.0 / 9.0)).abs() < 1e-15);

@@ -83,7 +83,8 @@ pub struct Polling {
     check: Option<FailureCheck>,
     /// Number of points in the last batch.
     #[serde(default)]
-    n_asked: usize,
+    #[serde(rename = "n_asked")]
+    n_requested: usize,
     waiting: bool,
     n_points: u64,
     n_iterations: usize,
@@ -118,7 +119,7 @@ impl Polling {
             descent: None,
             failed: FailedPoints::new(setup.space.n()),
             check: None,
-            n_asked: 0,
+            n_requested: 0,
             waiting: false,
             n_points: 0,
             n_iterations: 0,
@@ -299,11 +300,11 @@ impl Polling {
     }
 
     /// Processes the outcomes of the check near failed points.
-    fn check_told(&mut self, answers: &Answers) -> Result<(), Error> {
+    fn check_answers(&mut self, answers: &Answers) -> Result<(), Error> {
         let Some(check) = &mut self.check else { return Ok(()) };
         let ended = check.tell(answers, &self.setup)?;
         self.waiting = false;
-        self.n_points += self.n_asked as u64;
+        self.n_points += self.n_requested as u64;
         if let Some(termination) = ended {
             self.phase = Phase::Ended(termination);
         }
@@ -321,9 +322,10 @@ impl Polling {
     pub(super) fn conclude(&mut self, operation: Operation) {
         self.n_iterations += 1;
         self.operation = Some(operation);
-        let known = (self.gains.len() == FRAMES && operation == Operation::Refinement).then(|| self.gains[0]);
+        let oldest =
+            (self.gains.len() == FRAMES && operation == Operation::Refinement).then(|| self.gains[0]);
         let (f, size) = (self.best_cost(), self.frame_size());
-        let tests = self.setup.tolerances.judge(size, known.map(|earlier| earlier - f), f, self.f_0);
+        let tests = self.setup.tolerances.judge(size, oldest.map(|earlier| earlier - f), f, self.f_0);
         self.tests = Some(ToleranceTests { extent: TestedSet::Frame, ..tests });
     }
 
@@ -390,7 +392,7 @@ impl Method for Polling {
         self.waiting = self.status() == Status::Running;
         if let (Phase::BesideFailures, Some(check)) = (&self.phase, &mut self.check) {
             check.ask(batch);
-            self.n_asked = batch.len();
+            self.n_requested = batch.len();
             return;
         }
         batch.start(self.setup.space.n(), self.n_points, self.n_points);
@@ -402,14 +404,14 @@ impl Method for Polling {
         }
     }
 
-    fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
+    fn speculate(&mut self, wanted: usize, answers_so_far: &dyn AnswersSoFar, batch: &mut Batch) {
         // The rest of this poll, then the poll that follows if all its points fail or the step cannot be
         // doubled.
         let (rest, next) = match self.phase {
             Phase::Starting => (0, (self.next_poll(1, false), 0.5 * self.scale)),
             Phase::Polling => (self.place + 1, (self.next_poll(self.n_refined + 1, false), 0.5 * self.scale)),
             Phase::Extending => (self.poll.len(), (self.next_poll(self.n_refined, true), self.scale)),
-            Phase::Descending => return self.speculate_on_descent(wanted, known, batch),
+            Phase::Descending => return self.speculate_on_descent(wanted, answers_so_far, batch),
             Phase::BesideFailures | Phase::NoStart | Phase::Ended(_) => return,
         };
         let mut ahead = self.trial.clone();
@@ -420,7 +422,8 @@ impl Method for Polling {
                 return;
             }
             self.poll_step(poll, k, scale, &mut step);
-            if self.place(&step, &mut ahead) && ahead.1 != self.trial.1 && !known.contains(&ahead.1) {
+            if self.place(&step, &mut ahead) && ahead.1 != self.trial.1 && !answers_so_far.contains(&ahead.1)
+            {
                 batch.push(&ahead.1, self.best_cost());
             }
         }
@@ -432,14 +435,14 @@ impl Method for Polling {
             return Err(Error::TellWithoutAsk);
         }
         if self.phase == Phase::BesideFailures {
-            return self.check_told(answers);
+            return self.check_answers(answers);
         }
         if outcomes.len() > 1 {
-            return Err(Error::TooManyOutcomes { asked: 1, told: outcomes.len() });
+            return Err(Error::TooManyOutcomes { requested: 1, received: outcomes.len() });
         }
         self.waiting = false;
         self.n_points += 1;
-        let Some(outcome) = outcomes.first().filter(|outcome| outcome.is_known()) else { return Ok(()) };
+        let Some(outcome) = outcomes.first().filter(|outcome| outcome.is_conclusive()) else { return Ok(()) };
         let cost = outcome.value().map_or(Cost::Failed, Cost::Value);
         // With a cutoff, the evaluation of a failing point might have stopped before the failure.
         if cost == Cost::Failed && self.phase == Phase::Descending {
@@ -493,9 +496,9 @@ impl Method for Polling {
     }
 
     fn best(&self) -> Option<(&[f64], f64)> {
-        let own = (self.best.x(0), self.best.cost(0).value()?);
+        let seen = (self.best.x(0), self.best.cost(0).value()?);
         let found = self.check.as_ref().map(FailureCheck::best);
-        Some(found.filter(|found| found.1 < own.1).unwrap_or(own))
+        Some(found.filter(|found| found.1 < seen.1).unwrap_or(seen))
     }
 
     fn details(&self) -> MethodDetails<'_> {

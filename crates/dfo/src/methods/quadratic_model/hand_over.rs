@@ -23,8 +23,8 @@ impl ModelSearch {
     /// sizes. This is the scale on which the model represents the cost. It may be far above the resolution.
     pub(super) fn extent(&self) -> f64 {
         let (base, points) = (self.points.u(self.base()), &self.points);
-        let known = (0..points.len()).filter(|&slot| points.cost(slot).value().is_some());
-        median(known.map(|slot| norm(&self.displacement(base, points.u(slot)))))
+        let with_cost = (0..points.len()).filter(|&slot| points.cost(slot).value().is_some());
+        median(with_cost.map(|slot| norm(&self.displacement(base, points.u(slot)))))
     }
 
     /// Counts a failed step among near points if the slope error of the model, in units of the extent, has

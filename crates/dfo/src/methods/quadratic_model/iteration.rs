@@ -268,8 +268,9 @@ impl ModelSearch {
             let (lower, upper) = space.working_bounds(k);
             *u = (*u + s[k] * space.size(k)).clamp(lower, upper);
         }
-        let known = self.failed.contains(&u) || (0..self.points.len()).any(|slot| self.points.u(slot) == u);
-        if known || u.iter().any(|u| !u.is_finite()) {
+        let is_repeat =
+            self.failed.contains(&u) || (0..self.points.len()).any(|slot| self.points.u(slot) == u);
+        if is_repeat || u.iter().any(|u| !u.is_finite()) {
             return false;
         }
         self.trial.place(0, &u, &self.setup.space);
@@ -338,7 +339,7 @@ impl ModelSearch {
     }
 
     /// Updates the state after the cost of a point that improves the model.
-    pub(super) fn geometry_known(&mut self) {
+    pub(super) fn geometry_evaluated(&mut self) {
         let base = self.base();
         let from = self.points.u(base).to_vec();
         let s = self.displacement(&from, self.trial.u(0));
@@ -364,7 +365,7 @@ impl ModelSearch {
     }
 
     /// Updates the state after the cost of the best point of the model.
-    pub(super) fn trial_known(&mut self, predicted: f64) {
+    pub(super) fn trial_evaluated(&mut self, predicted: f64) {
         let base = self.base();
         let from = self.points.u(base).to_vec();
         let s = self.displacement(&from, self.trial.u(0));

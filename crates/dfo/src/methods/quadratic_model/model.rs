@@ -142,9 +142,9 @@ impl Interpolation {
     /// last. Also returns the growth factor of the determinant of the interpolation equations if the point is
     /// replaced by this one (Powell 2004, equation 2.12).
     pub(super) fn lagrange(&self, step: &[f64]) -> impl Iterator<Item = (f64, f64)> {
-        let (k, own) = self.products(step);
+        let (k, square) = self.products(step);
         let values = &self.inverse * &k;
-        let beta = (own - k.dot(&values)).max(0.0);
+        let beta = (square - k.dot(&values)).max(0.0);
         let of_base = (1.0 - values.sum(), self.inverse.sum());
         let of_slots = (0..values.len()).map(move |j| (values[j], self.inverse[(j, j)])).collect::<Vec<_>>();
         of_slots.into_iter().chain([of_base]).map(move |(value, alpha)| (value, alpha * beta + value * value))

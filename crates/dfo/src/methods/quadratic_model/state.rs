@@ -206,7 +206,7 @@ impl ModelSearch {
     }
 
     /// Processes the first points after all of them have a cost or have failed.
-    fn start_known(&mut self) {
+    fn start_evaluated(&mut self) {
         for slot in 1..self.points.len() {
             if self.points.cost(slot) == Cost::Failed && self.points.cost(0) != Cost::Failed {
                 self.remember_failed(self.points.u(slot).to_vec());
@@ -297,24 +297,24 @@ impl Method for ModelSearch {
         }
         if self.phase == Phase::Starting {
             if self.rounds.tell(answers, &mut self.points)? {
-                self.start_known();
+                self.start_evaluated();
             }
         } else if self.rounds.tell(answers, &mut self.trial)? {
             self.complete();
             self.n_iterations += 1;
             self.operation = Some(Operation::TrustRegionStep);
             match std::mem::replace(&mut self.phase, Phase::Choosing) {
-                Phase::Trial { predicted } => self.trial_known(predicted),
-                Phase::Geometry => self.geometry_known(),
+                Phase::Trial { predicted } => self.trial_evaluated(predicted),
+                Phase::Geometry => self.geometry_evaluated(),
                 other => self.phase = other,
             }
         }
         Ok(())
     }
 
-    fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
+    fn speculate(&mut self, wanted: usize, answers_so_far: &dyn AnswersSoFar, batch: &mut Batch) {
         if let Some(simplex) = &mut self.simplex {
-            simplex.state.speculate(wanted, known, batch);
+            simplex.state.speculate(wanted, answers_so_far, batch);
         }
     }
 
@@ -349,14 +349,14 @@ impl Method for ModelSearch {
     }
 
     fn best(&self) -> Option<(&[f64], f64)> {
-        let own = self.rounds.best();
+        let of_rounds = self.rounds.best();
         let found = match &self.check {
             Some(check) => Some(check.best()),
             None => self.simplex.as_ref().and_then(|simplex| simplex.state.best()),
         };
-        match (own, found) {
-            (Some((_, f)), Some((_, g))) if g >= f => own,
-            (own, found) => found.or(own),
+        match (of_rounds, found) {
+            (Some((_, f)), Some((_, g))) if g >= f => of_rounds,
+            (of_rounds, found) => found.or(of_rounds),
         }
     }
 

@@ -146,8 +146,8 @@ impl<B: GenerationRules> Generations<B> {
     /// True if the state is consistent with itself and with the problem. State loaded from a file may be
     /// inconsistent.
     pub(crate) fn is_sound(&self, setup: &Setup) -> bool {
-        let (Populations { setup: own, population, candidates, .. }, space) = (&self.pool, &setup.space);
-        own.space == *space
+        let (Populations { setup: stored, population, candidates, .. }, space) = (&self.pool, &setup.space);
+        stored.space == *space
             && population.is_sound(space)
             && candidates.is_sound(space)
             && self.rounds.is_sound(space.n())
@@ -164,7 +164,7 @@ impl<B: GenerationRules> Generations<B> {
         &self.rules
     }
 
-    fn start_known(&mut self) {
+    fn start_evaluated(&mut self) {
         let Populations { population, setup, .. } = &mut self.pool;
         population.rank();
         self.f_0 = population.typical_cost();
@@ -232,7 +232,7 @@ impl<B: GenerationRules> Method for Generations<B> {
         }
     }
 
-    fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
+    fn speculate(&mut self, wanted: usize, answers_so_far: &dyn AnswersSoFar, batch: &mut Batch) {
         let Self { rules, pool, phase, rounds, .. } = self;
         let (is_first, tried) = match phase {
             Phase::Starting => (true, &pool.population),
@@ -244,14 +244,14 @@ impl<B: GenerationRules> Method for Generations<B> {
         }
         let cost = |slot: usize| match tried.cost(slot) {
             Cost::Pending => {
-                rounds.place_of(slot).and_then(|k| known.answer(k)).map(|a| Cost::of(&a.outcome))
+                rounds.place_of(slot).and_then(|k| answers_so_far.answer(k)).map(|a| Cost::of(&a.outcome))
             }
             cost => Some(cost),
         };
         let mut left = wanted;
         rules.look_ahead(pool, is_first, &cost, &mut |x, cutoff| {
             batch.push(x, cutoff);
-            left -= usize::from(!known.contains(x));
+            left -= usize::from(!answers_so_far.contains(x));
             left > 0
         });
         batch.all_certain();
@@ -260,7 +260,7 @@ impl<B: GenerationRules> Method for Generations<B> {
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
         if self.phase == Phase::Starting {
             if self.rounds.tell(answers, &mut self.pool.population)? {
-                self.start_known();
+                self.start_evaluated();
             }
         } else if self.rounds.tell(answers, &mut self.pool.candidates)? {
             self.end_generation();

@@ -50,17 +50,17 @@ impl PendingGeneration {
 
     /// Records outcomes. Returns true if all candidates now have a cost.
     pub(crate) fn tell(&mut self, answers: &Answers, candidates: &mut RankedPoints) -> Result<bool, Error> {
-        let (asked, outcomes) = (self.roles.len(), answers.outcomes());
+        let (requested, outcomes) = (self.roles.len(), answers.outcomes());
         if !self.waiting {
             return Err(Error::TellWithoutAsk);
         }
-        if outcomes.len() > asked {
-            return Err(Error::TooManyOutcomes { asked, told: outcomes.len() });
+        if outcomes.len() > requested {
+            return Err(Error::TooManyOutcomes { requested, received: outcomes.len() });
         }
         self.waiting = false;
         self.n_batches += 1;
-        self.n_points += asked as u64;
-        for (k, outcome) in outcomes.iter().enumerate().filter(|(_, o)| o.is_known()) {
+        self.n_points += requested as u64;
+        for (k, outcome) in outcomes.iter().enumerate().filter(|(_, o)| o.is_conclusive()) {
             let slot = self.roles[k];
             // A candidate stopped above the target's cost is treated like a failed one.
             candidates.set_cost(slot, Cost::of(outcome));

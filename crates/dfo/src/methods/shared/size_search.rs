@@ -144,8 +144,8 @@ impl SizeSearch {
         self.lines.iter().filter(is_inert).map(|line| space.free()[line.k])
     }
 
-    /// Requests one point on each line that has not ended. `asked` receives the index of the line.
-    pub(crate) fn ask(&mut self, space: &Space, batch: &mut Batch, mut asked: impl FnMut(usize)) {
+    /// Requests one point on each line that has not ended. `requested` receives the index of the line.
+    pub(crate) fn ask(&mut self, space: &Space, batch: &mut Batch, mut requested: impl FnMut(usize)) {
         for number in (0..self.lines.len()).filter(|&number| !self.lines[number].is_over) {
             let line = &self.lines[number];
             let i = space.free()[line.k];
@@ -158,7 +158,7 @@ impl SizeSearch {
             };
             batch.push(&self.x, cutoff);
             self.x[i] = self.base[i];
-            asked(number);
+            requested(number);
         }
     }
 

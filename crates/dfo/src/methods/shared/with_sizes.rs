@@ -137,9 +137,9 @@ impl<O: NeedsSizes> Method for WithSizes<O> {
         self.waiting = true;
     }
 
-    fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
+    fn speculate(&mut self, wanted: usize, answers_so_far: &dyn AnswersSoFar, batch: &mut Batch) {
         if let Some((_, search)) = &mut self.search {
-            search.speculate(wanted, known, batch);
+            search.speculate(wanted, answers_so_far, batch);
         }
     }
 
@@ -147,18 +147,19 @@ impl<O: NeedsSizes> Method for WithSizes<O> {
         if let Some((_, search)) = &mut self.search {
             return search.tell(answers);
         }
-        let (asked, outcomes) = (self.roles.len(), answers.outcomes());
+        let (requested, outcomes) = (self.roles.len(), answers.outcomes());
         if !self.waiting {
             return Err(Error::TellWithoutAsk);
         }
-        if outcomes.len() > asked {
-            return Err(Error::TooManyOutcomes { asked, told: outcomes.len() });
+        if outcomes.len() > requested {
+            return Err(Error::TooManyOutcomes { requested, received: outcomes.len() });
         }
         self.waiting = false;
         self.n_batches += 1;
-        self.n_points += asked as u64;
+        self.n_points += requested as u64;
         let space = &self.setup.space;
-        for (outcome, role) in outcomes.iter().zip(&self.roles).filter(|(outcome, _)| outcome.is_known()) {
+        for (outcome, role) in outcomes.iter().zip(&self.roles).filter(|(outcome, _)| outcome.is_conclusive())
+        {
             match (role, &mut self.sizes, outcome.value()) {
                 (Some(line), Some(sizes), cost) => sizes.see(space, *line, cost),
                 (_, _, Some(cost)) => {

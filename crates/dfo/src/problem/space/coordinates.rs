@@ -197,8 +197,8 @@ impl Space {
         self.lower.push(lo);
         self.upper.push(hi);
         // For a start at zero, a wide box determines the size only for a search of the box itself.
-        let known = typical_size(transform, value, (lower, upper), size);
-        self.sizes.push(known.unwrap_or(if width.is_finite() && width > 0.0 { width } else { 1.0 }));
+        let typical = typical_size(transform, value, (lower, upper), size);
+        self.sizes.push(typical.unwrap_or(if width.is_finite() && width > 0.0 { width } else { 1.0 }));
         self.size_given.push(size.is_some());
         let linear = transform == Transform::Linear;
         self.size_unknown.push(linear && value.abs() < TINY && size.is_none() && width.is_infinite());
@@ -230,8 +230,8 @@ impl Space {
 
     /// True if the box is too wide to determine the size of coordinate `k`, see [`typical_size`].
     fn is_wide(&self, k: usize) -> bool {
-        let known = self.size_given[k].then(|| self.sizes[k]);
-        let magnitude = known.unwrap_or(magnitude_of(self.x0[self.free[k]]));
+        let size_given_by_user = self.size_given[k].then(|| self.sizes[k]);
+        let magnitude = size_given_by_user.unwrap_or(magnitude_of(self.x0[self.free[k]]));
         self.upper[k] - self.lower[k] > widest(self.transforms[k], magnitude)
     }
 
@@ -420,11 +420,11 @@ impl Space {
 
     /// True if two spaces are equal except for sizes that were found during the search.
     pub(crate) fn is_same_space(&self, other: &Self) -> bool {
-        let mut own = self.clone();
+        let mut completed = self.clone();
         let unknown = (0..self.n_free()).filter(|&k| self.size_unknown[k]);
         self.n_free() == other.n_free() && {
-            unknown.for_each(|k| own.set_unit(k, other.unit(k)));
-            own == *other
+            unknown.for_each(|k| completed.set_unit(k, other.unit(k)));
+            completed == *other
         }
     }
 

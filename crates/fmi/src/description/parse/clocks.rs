@@ -65,9 +65,9 @@ impl ClockAttributes {
         self.can_be_deactivated = self.can_be_deactivated.or(of_type.can_be_deactivated);
         self.supports_fraction = self.supports_fraction.or(of_type.supports_fraction);
         self.resolution = self.resolution.or(of_type.resolution);
-        for (own, inherited) in [(&mut self.interval, of_type.interval), (&mut self.shift, of_type.shift)] {
-            if !own.is_given() {
-                *own = inherited;
+        for (field, inherited) in [(&mut self.interval, of_type.interval), (&mut self.shift, of_type.shift)] {
+            if !field.is_given() {
+                *field = inherited;
             }
         }
     }

@@ -176,8 +176,8 @@ fn variables(
         variables[variable].dimensions[dimension] = Dimension::Parameter(position(reference));
     }
     for (variable, clocks) in later.clocks {
-        let known = clocks.into_iter().map(position).filter(|clock| *clock != NOWHERE);
-        variables[variable].clocks = known.collect();
+        let indices = clocks.into_iter().map(position).filter(|clock| *clock != NOWHERE);
+        variables[variable].clocks = indices.collect();
     }
     Ok(positions)
 }

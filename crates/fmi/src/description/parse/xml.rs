@@ -180,7 +180,7 @@ impl Element<'_> {
             if pairs.len() == MOST_ATTRIBUTES {
                 return Err(error(format!("more than {MOST_ATTRIBUTES} attributes")));
             }
-            if pairs.iter().any(|(known, _)| *known == key) {
+            if pairs.iter().any(|(name, _)| *name == key) {
                 return Err(error(format!("duplicate attribute {key}")));
             }
             let value = attribute

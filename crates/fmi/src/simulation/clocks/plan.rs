@@ -166,6 +166,6 @@ impl ClockPlan {
         let timed = self.timed.iter().map(|timed| (timed.clock.reference, &timed.clock.name));
         let triggered = self.triggered.iter().map(|clock| (clock.reference, &clock.name));
         let watched = self.watched.iter().map(|(reference, name)| (*reference, name));
-        timed.chain(triggered).chain(watched).find(|(known, _)| *known == reference).map(|(_, name)| name)
+        timed.chain(triggered).chain(watched).find(|(clock, _)| *clock == reference).map(|(_, name)| name)
     }
 }

@@ -253,16 +253,16 @@ impl Run<'_, '_> {
     /// Records whether a step to the stop time was refused. Returns true if the next run handles the stop
     /// time differently, so this run is repeated.
     fn note_last_step(&mut self, target: &Target, is_refused: bool) -> bool {
-        let CoSimulationState { stop, is_stop_told, .. } = *self.stepping;
+        let CoSimulationState { stop, is_stop_time_passed, .. } = *self.stepping;
         if target.time < stop - self.plan.time_tolerance {
             return false;
         }
         let mut knowledge = self.plan.fmu().reset_knowledge(self.plan.kind);
-        let known = knowledge.stop_time;
-        knowledge.stop_time = known.after_last_step(is_stop_told, is_refused);
+        let before = knowledge.stop_time;
+        knowledge.stop_time = before.after_last_step(is_stop_time_passed, is_refused);
         let now = knowledge.stop_time;
         drop(knowledge);
-        if known != now && now == StopTime::Withheld {
+        if before != now && now == StopTime::Withheld {
             let message = format!(
                 "the model rejects the last step if it receives the stop time {}, so the stop time is not \
                  passed to it",
@@ -270,7 +270,7 @@ impl Run<'_, '_> {
             );
             self.plan.fmu().note_quirk(QuirkKind::Promise, message);
         }
-        known != now
+        before != now
     }
 
     /// Records the first step that the model reports as complete although its time is not the end of the
@@ -378,13 +378,13 @@ impl Run<'_, '_> {
         if !self.reaches(event, time, length) {
             length = length.next_up();
         }
-        let is_same = |known: &&f64| {
-            (**known - length).abs() <= self.plan.time_tolerance
-                && self.t + **known <= most
-                && self.reaches(event, time, **known)
+        let is_same = |earlier: &&f64| {
+            (**earlier - length).abs() <= self.plan.time_tolerance
+                && self.t + **earlier <= most
+                && self.reaches(event, time, **earlier)
         };
-        if let Some(known) = self.lengths.iter().find(is_same) {
-            return *known;
+        if let Some(earlier) = self.lengths.iter().find(is_same) {
+            return *earlier;
         }
         self.lengths.rotate_right(1);
         self.lengths[0] = length;

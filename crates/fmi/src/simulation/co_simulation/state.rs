@@ -23,9 +23,9 @@ pub(crate) struct CoSimulationState {
     /// Derivatives of outputs at the end of a step, if available.
     pub(super) ends: Vec<f64>,
     pub(super) stopwatch: Stopwatch<{ Call::KINDS }>,
-    /// Stop time. `is_stop_told` is true if it was passed to the model.
+    /// Stop time. `is_stop_time_passed` is true if it was passed to the model.
     pub(super) stop: f64,
-    pub(super) is_stop_told: bool,
+    pub(super) is_stop_time_passed: bool,
 }
 
 impl CoSimulationState {
@@ -39,7 +39,7 @@ impl CoSimulationState {
             ends: Vec::with_capacity(plan.outputs().smooth.0.len()),
             stopwatch: Stopwatch::new(),
             stop: plan.end,
-            is_stop_told: false,
+            is_stop_time_passed: false,
             running: Running::new(plan),
         }
     }
@@ -49,8 +49,8 @@ impl CoSimulationState {
         let plan = &self.running.plan;
         let stop = |c: &Communication| c.stop_time(plan.start, plan.end, plan.time_tolerance);
         self.stop = plan.communication.as_ref().map_or(plan.end, stop);
-        self.is_stop_told = plan.fmu().reset_knowledge(plan.kind).stop_time.is_told();
-        let began = self.running.begin(raw, input, self.is_stop_told.then_some(self.stop));
+        self.is_stop_time_passed = plan.fmu().reset_knowledge(plan.kind).stop_time.is_passed();
+        let began = self.running.begin(raw, input, self.is_stop_time_passed.then_some(self.stop));
         let core = Some(began.inspect_err(|_| self.note_failure())?);
         self.running.current = Current { core, mode: Mode::Step, ..Current::default() };
         Ok(())
@@ -60,7 +60,7 @@ impl CoSimulationState {
     pub(super) fn note_failure(&self) {
         let plan = &self.running.plan;
         let mut knowledge = plan.fmu().reset_knowledge(plan.kind);
-        knowledge.stop_time = knowledge.stop_time.after_failure(self.is_stop_told);
+        knowledge.stop_time = knowledge.stop_time.after_failure(self.is_stop_time_passed);
     }
 
     /// Handles the initial events if there is an event mode.

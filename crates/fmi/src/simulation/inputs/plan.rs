@@ -196,7 +196,7 @@ impl HeldSlots {
         if kind == VariableKind::Real {
             return Ok(Target::Real(self.reals.place(reference, place.element, || starts.reals(place))?));
         }
-        let group = match self.packed.iter().position(|(known, _)| *known == kind) {
+        let group = match self.packed.iter().position(|(packed_kind, _)| *packed_kind == kind) {
             Some(group) => group,
             None => {
                 self.packed.push((kind, Slots::default()));

@@ -36,15 +36,15 @@ impl TextInput {
             (_, None) => return Err(bad("the table has no rows".to_owned())),
         };
         let mut numbers = Vec::with_capacity(rows.len());
-        let mut known: HashMap<&[u8], usize> = HashMap::new();
+        let mut indices: HashMap<&[u8], usize> = HashMap::new();
         for (row, value) in rows.iter().enumerate() {
             let (bytes, n) = match (&values, value) {
                 (Values::Texts(texts), Value::String(text)) => (text.as_bytes(), texts.len()),
                 (Values::Bytes(all), Value::Binary(bytes)) => (bytes.as_slice(), all.len()),
                 (_, other) => return Err(wrong(other)),
             };
-            let number = *known.entry(bytes).or_insert(n);
-            if number == n {
+            let index = *indices.entry(bytes).or_insert(n);
+            if index == n {
                 match &mut values {
                     Values::Texts(texts) => {
                         texts.push(CString::new(bytes).map_err(|_| {
@@ -54,7 +54,7 @@ impl TextInput {
                     Values::Bytes(all) => all.push(bytes.to_vec()),
                 }
             }
-            numbers.push(number as f64);
+            numbers.push(index as f64);
         }
         Ok((Self { reference: variable.value_reference, values }, numbers))
     }

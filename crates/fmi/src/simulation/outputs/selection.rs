@@ -31,9 +31,10 @@ impl Selection {
             (0..variables.len()).filter(|i| wanted(&variables[*i])).collect()
         };
         let mut chosen = positions(&|v| v.causality == Causality::Output);
-        let known: HashSet<usize> = chosen.iter().copied().collect();
+        let already_chosen: HashSet<usize> = chosen.iter().copied().collect();
         let mut added = HashSet::new();
-        chosen.extend(states.iter().filter(|state| !known.contains(*state) && added.insert(**state)));
+        chosen
+            .extend(states.iter().filter(|state| !already_chosen.contains(*state) && added.insert(**state)));
         if chosen.is_empty() {
             chosen = positions(&|v| {
                 matches!(v.variability, Variability::Discrete | Variability::Continuous)
@@ -67,10 +68,10 @@ impl Selection {
         let (model, structure) = (context.model, context.structure);
         let mut selection = Self::default();
         // Variables that are recorded completely.
-        let mut known: HashSet<&str> = HashSet::new();
+        let mut selected: HashSet<&str> = HashSet::new();
         for name in names {
             if let Some(position) = model.variable_index(name) {
-                known.insert(name);
+                selected.insert(name);
                 selection.add(context, position, name, None);
                 continue;
             }
@@ -78,9 +79,9 @@ impl Selection {
             if let Some((array, element)) = element_of(name, extents) {
                 selection.add(context, resolve(model, array)?, name, Some(element));
             } else if name == ALL {
-                selection.add_matching(context, "*", &mut known);
+                selection.add_matching(context, "*", &mut selected);
             } else if name.contains(['*', '?']) {
-                if selection.add_matching(context, name, &mut known) == 0 {
+                if selection.add_matching(context, name, &mut selected) == 0 {
                     let problem = format!("the pattern \"{name}\" does not match any variable");
                     return Err(FmiError::BadSetting(problem));
                 }
@@ -99,14 +100,14 @@ impl Selection {
         &mut self,
         context: &OutputContext<'a>,
         pattern: &str,
-        known: &mut HashSet<&'a str>,
+        selected: &mut HashSet<&'a str>,
     ) -> usize {
         let mut found = 0;
         for (name, position) in context.model.names() {
             let is_time = context.model.variables[position].causality == Causality::Independent;
             if !is_time && fits(pattern, name) {
                 found += 1;
-                if known.insert(name) {
+                if selected.insert(name) {
                     self.add(context, position, name, None);
                 }
             }

@@ -30,13 +30,13 @@ impl ValueTable {
     /// Returns the number for a string. `last` is the number in the previous row, which is usually the same.
     /// A known string causes no allocation.
     pub(crate) fn text(&mut self, text: &str, last: f64) -> f64 {
-        let is = |value: &Value| matches!(value, Value::String(known) if known == text);
+        let is = |value: &Value| matches!(value, Value::String(stored) if stored == text);
         self.place(text, last, is, || Value::String(text.to_owned()))
     }
 
     /// Returns the number for bytes, as [`text`](Self::text) does for strings.
     pub(crate) fn bytes(&mut self, bytes: &[u8], last: f64) -> f64 {
-        let is = |value: &Value| matches!(value, Value::Binary(known) if known == bytes);
+        let is = |value: &Value| matches!(value, Value::Binary(stored) if stored == bytes);
         self.place(bytes, last, is, || Value::Binary(bytes.to_vec()))
     }
 

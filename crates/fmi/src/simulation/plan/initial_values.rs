@@ -117,8 +117,8 @@ impl InitialValue {
     /// Returns the index in the state vector. `references` lists the state variables of an FMU whose
     /// description does not define them (FMI 1.0).
     pub(crate) fn position(&self, fmu: &Fmu, references: &[u32]) -> Option<usize> {
-        let own = fmu.description().variables[self.place.variable].value_reference;
-        self.state.or_else(|| references.iter().position(|reference| *reference == own))
+        let state_reference = fmu.description().variables[self.place.variable].value_reference;
+        self.state.or_else(|| references.iter().position(|reference| *reference == state_reference))
     }
 
     /// Returns the value of the variable if it differs from `given`.

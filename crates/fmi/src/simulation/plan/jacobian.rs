@@ -77,7 +77,7 @@ fn pattern(model: &ModelDescription, structure: &Structure) -> Option<JacobianPa
             let variable = &model.variables[index];
             let columns = match places.get(&(variable.kind, variable.value_reference)) {
                 Some(columns) => columns.clone(),
-                None if is_known(variable.causality, variable.variability) => continue,
+                None if is_independent_of_states(variable.causality, variable.variability) => continue,
                 None => 0..n,
             };
             entries.extend(row.clone().flat_map(|i| columns.clone().map(move |k| (i, k))));
@@ -87,7 +87,7 @@ fn pattern(model: &ModelDescription, structure: &Structure) -> Option<JacobianPa
 }
 
 /// True if the variable does not depend on the states.
-fn is_known(causality: Causality, variability: Variability) -> bool {
+fn is_independent_of_states(causality: Causality, variability: Variability) -> bool {
     use Causality::{CalculatedParameter, Independent, Input, Parameter, StructuralParameter};
     matches!(causality, Input | Independent | Parameter | StructuralParameter | CalculatedParameter)
         || variability != Variability::Continuous

@@ -85,7 +85,7 @@ impl Group {
 
     /// Returns the start value at this index among the values of a kind stored as words.
     fn word(&self, place: usize, start_values: &Assignments) -> i64 {
-        let group = start_values.packed.iter().find(|(known, ..)| *known == self.kind);
+        let group = start_values.packed.iter().find(|(packed_kind, ..)| *packed_kind == self.kind);
         group.map_or(0, |(_, _, words)| words[place])
     }
 
@@ -109,7 +109,7 @@ impl ReadBack {
         }
         let n_values = match variable.kind {
             VariableKind::Real => values.reals.1.len(),
-            kind => match values.packed.iter().find(|(known, ..)| *known == kind) {
+            kind => match values.packed.iter().find(|(packed_kind, ..)| *packed_kind == kind) {
                 Some((_, _, words)) => words.len(),
                 None => return,
             },

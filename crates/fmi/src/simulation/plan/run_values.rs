@@ -83,7 +83,7 @@ impl InitialStates<'_> {
     }
 
     fn has(&self, name: &str) -> bool {
-        self.names.iter().any(|known| known == name)
+        self.names.iter().any(|listed| listed == name)
     }
 }
 
@@ -157,8 +157,8 @@ impl RunValues {
                     "it is an array; specify its elements individually, such as name[1]",
                 ));
             }
-            let is_same = |known: &VariableElement| known.overlaps(place, starts.description);
-            if let Some(first) = self.parameters.iter().position(|known| is_same(&known.place)) {
+            let is_same = |earlier: &VariableElement| earlier.overlaps(place, starts.description);
+            if let Some(first) = self.parameters.iter().position(|earlier| is_same(&earlier.place)) {
                 let problem = match &names[first] {
                     first if first == name => format!("parameter {name} is specified twice"),
                     first => {

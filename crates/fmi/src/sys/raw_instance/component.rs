@@ -154,7 +154,7 @@ impl RawInstance {
 
     /// Records the time of the following calls.
     #[inline]
-    pub(super) fn set_time_told(&mut self, time: f64) {
+    pub(super) fn set_call_time(&mut self, time: f64) {
         self.time = Some(time);
         shared_page::note_time(time);
     }
@@ -246,7 +246,7 @@ impl RawInstance {
     /// Sets up the experiment. Calls the FMU if its version has a call for this before the initialization.
     pub(crate) fn setup_experiment(&mut self, experiment: &Experiment) -> Outcome {
         let Experiment { tolerance, start, stop } = *experiment;
-        self.set_time_told(start);
+        self.set_call_time(start);
         self.memory.experiment = *experiment;
         run!(self, |library, c| {
             let function = &library.functions.setup_experiment;
@@ -371,7 +371,7 @@ impl RawInstance {
 
     pub(crate) fn set_time(&mut self, time: f64) -> Outcome {
         self.callbacks.log().go_on();
-        self.set_time_told(time);
+        self.set_call_time(time);
         run!(self, |library, c| call!(library.functions.set_time, c, time))
     }
 
@@ -440,7 +440,7 @@ impl RawInstance {
         self.check_usable()?;
         if let Some((time, _)) = point {
             self.callbacks.log().go_on();
-            self.set_time_told(time);
+            self.set_call_time(time);
         }
         let functions = &self.library.functions;
         let _inside = Inside::enter_for_call(self.library.lock());

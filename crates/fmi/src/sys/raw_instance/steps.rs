@@ -14,7 +14,7 @@ impl RawInstance {
     /// [`step_status`](Self::step_status).
     pub(crate) fn do_step(&mut self, time: f64, size: f64, info: &mut StepInfo) -> Result<bool, Fault> {
         self.callbacks.log().go_on();
-        self.set_time_told(time);
+        self.set_call_time(time);
         let no_set_state_prior = !self.saved.may_be_restored();
         let step = Step { time, size, no_set_state_prior, is_new: !self.memory.is_step_repeated };
         let outcome = run!(self, |library, c| library.version.do_step(&library.functions, c, step, info));

@@ -44,7 +44,7 @@ pub(in crate::worker) fn confine_self(folder: &Path) -> io::Result<()> {
     }
     let confined = || -> Result<(), Box<dyn Error>> {
         confine_files(folder)?;
-        seccompiler::apply_filter(&filter_of_unknown())?;
+        seccompiler::apply_filter(&filter_of_uninspectable())?;
         seccompiler::apply_filter(&filter_of_refused(std::process::id())?)?;
         Ok(())
     };
@@ -289,12 +289,12 @@ const NAMESPACES: [i32; 7] = [
 
 /// Returns calls that are denied for certain arguments, with their conditions. One condition is sufficient.
 /// Each condition is a list of comparisons that must all hold.
-fn refused_with(own: u32) -> Vec<(c_long, Vec<Vec<Compared>>)> {
+fn refused_with(process_id: u32) -> Vec<(c_long, Vec<Vec<Compared>>)> {
     let other_than = |argument: u8, allowed: &[u64]| -> Vec<Compared> {
         allowed.iter().map(|value| (argument, SeccompCmpOp::Ne, *value)).collect()
     };
-    let own = u64::from(own);
-    let (priority_of_process, thread) = (libc::PRIO_PROCESS as u64, [0, own]);
+    let process_id = u64::from(process_id);
+    let (priority_of_process, thread) = (libc::PRIO_PROCESS as u64, [0, process_id]);
     let fcntls = FCNTLS.map(|command| command as u64);
     let truncated = libc::O_TRUNC as u64;
     let mode = libc::O_ACCMODE as u64 | truncated;
@@ -308,10 +308,10 @@ fn refused_with(own: u32) -> Vec<(c_long, Vec<Vec<Compared>>)> {
         .map(u64::from)
         .map(|flag| vec![(0, SeccompCmpOp::MaskedEq(flag), flag)]);
     let mut refused = vec![
-        (libc::SYS_kill, vec![other_than(0, &[own])]),
-        (libc::SYS_tgkill, vec![other_than(0, &[own])]),
-        (libc::SYS_rt_sigqueueinfo, vec![other_than(0, &[own])]),
-        (libc::SYS_rt_tgsigqueueinfo, vec![other_than(0, &[own])]),
+        (libc::SYS_kill, vec![other_than(0, &[process_id])]),
+        (libc::SYS_tgkill, vec![other_than(0, &[process_id])]),
+        (libc::SYS_rt_sigqueueinfo, vec![other_than(0, &[process_id])]),
+        (libc::SYS_rt_tgsigqueueinfo, vec![other_than(0, &[process_id])]),
         (libc::SYS_prlimit64, vec![other_than(0, &thread)]),
         (libc::SYS_sched_setscheduler, vec![other_than(0, &thread)]),
         (libc::SYS_sched_setparam, vec![other_than(0, &thread)]),
@@ -330,8 +330,8 @@ fn refused_with(own: u32) -> Vec<(c_long, Vec<Vec<Compared>>)> {
 /// Index of an argument, counted from 0, and the value to which it is compared.
 type Compared = (u8, SeccompCmpOp, u64);
 
-/// Returns the filter of calls that are denied to this process, which has the process id `own`.
-fn filter_of_refused(own: u32) -> Result<BpfProgram, BackendError> {
+/// Returns the filter of calls that are denied to this process, which has the process id `process_id`.
+fn filter_of_refused(process_id: u32) -> Result<BpfProgram, BackendError> {
     let rule = |compared: Vec<Compared>| {
         let condition = |(argument, comparison, value)| {
             SeccompCondition::new(argument, SeccompCmpArgLen::Dword, comparison, value)
@@ -340,7 +340,7 @@ fn filter_of_refused(own: u32) -> Result<BpfProgram, BackendError> {
     };
     let always = REFUSED.iter().chain(REFUSED_OF_ARCHITECTURE).map(|call| (*call, Vec::new()));
     let mut rules: BTreeMap<c_long, Vec<SeccompRule>> = always.collect();
-    for (call, conditions) in refused_with(own) {
+    for (call, conditions) in refused_with(process_id) {
         rules.insert(call, conditions.into_iter().map(rule).collect::<Result<_, _>>()?);
     }
     let refuse = SeccompAction::Errno(libc::EPERM as u32);
@@ -350,7 +350,7 @@ fn filter_of_refused(own: u32) -> Result<BpfProgram, BackendError> {
 /// Returns the filter of calls that a filter cannot inspect. They fail with `ENOSYS`, so that programs use
 /// older calls. These are calls whose arguments are in memory, and all calls that are newer than this list.
 /// The comparison also denies 32-bit numbers of x86-64 (x32).
-fn filter_of_unknown() -> BpfProgram {
+fn filter_of_uninspectable() -> BpfProgram {
     let instruction = |code: u32, jt: u8, jf: u8, k: u32| sock_filter { code: code as u16, jt, jf, k };
     let (load, compare) = (libc::BPF_LD | libc::BPF_W | libc::BPF_ABS, libc::BPF_JMP | libc::BPF_K);
     vec![
@@ -373,7 +373,7 @@ mod tests {
         // BPF_MAXINSNS of linux/bpf_common.h.
         let n = filter_of_refused(4711).unwrap().len();
         assert!(n < 4096, "{n}");
-        assert_eq!(filter_of_unknown().len(), 6);
+        assert_eq!(filter_of_uninspectable().len(), 6);
     }
 
     #[test]

@@ -68,9 +68,9 @@ impl Columns {
             }
         }
         let is_driven = |name: &str| columns.inputs.iter().any(|(input, _)| input == name);
-        let known = description.variables.iter().filter(|variable| variable.causality == Causality::Input);
+        let inputs = description.variables.iter().filter(|variable| variable.causality == Causality::Input);
         columns.undriven =
-            known.map(|variable| variable.name.clone()).filter(|name| !is_driven(name)).collect();
+            inputs.map(|variable| variable.name.clone()).filter(|name| !is_driven(name)).collect();
         let unit = |(variable, column): &Pair| {
             let stated = description.variable(variable)?.unit.as_deref().unwrap_or_default();
             data.unit(column).filter(|_| stated.is_empty()).map(|unit| (variable.clone(), unit.to_owned()))

@@ -83,8 +83,8 @@ fn relative(path: &Path, folder: &Path) -> Result<String, Error> {
 fn tried(text: &str, path: &Path, console: &Console) -> Result<calibration::Preflight, Error> {
     let interrupt = Interrupt::watch()?;
     let line = console.live_line();
-    let shown = || line.show_until(interrupt.is_asked(), "testing the parameters");
-    let context = RunContext::new().asking(&shown);
+    let shown = || line.show_until(interrupt.is_requested(), "testing the parameters");
+    let context = RunContext::new().polling(&shown);
     let calibration = ProblemFile::parse(text, path)?.calibration(&context)?;
     calibration.preflight(&PreflightOptions::default(), &context).map_err(Error::of_work)
 }

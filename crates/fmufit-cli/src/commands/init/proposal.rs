@@ -79,9 +79,9 @@ impl Proposed {
     /// Excludes parameters that do not affect any output or whose variation makes the simulation fail.
     pub(super) fn judge(&mut self, preflight: &Preflight) {
         for tried in &preflight.parameters {
-            let own = self.candidates.iter_mut().find(|candidate| candidate.name == tried.name);
-            let Some(own) = own else { continue };
-            own.reason = match &tried.failure {
+            let candidate = self.candidates.iter_mut().find(|candidate| candidate.name == tried.name);
+            let Some(candidate) = candidate else { continue };
+            candidate.reason = match &tried.failure {
                 Some(failure) => Some(format!("a small change makes the simulation fail: {failure}")),
                 None if !tried.has_effect => Some("no effect on any output at the start values".to_owned()),
                 None => None,
@@ -113,13 +113,13 @@ impl Proposed {
 fn groups(pairs: &[(usize, usize, f64)]) -> Vec<(Vec<usize>, f64)> {
     let mut groups: Vec<(Vec<usize>, f64)> = Vec::new();
     for (one, other, correlation) in pairs {
-        let (own, others): (Vec<_>, Vec<_>) =
+        let (connected, others): (Vec<_>, Vec<_>) =
             groups.into_iter().partition(|(group, _)| group.contains(one) || group.contains(other));
-        let mut joined: Vec<usize> = own.iter().flat_map(|(group, _)| group).copied().collect();
+        let mut joined: Vec<usize> = connected.iter().flat_map(|(group, _)| group).copied().collect();
         joined.extend([*one, *other]);
         joined.sort_unstable();
         joined.dedup();
-        let least = own.iter().map(|(_, least)| *least).fold(correlation.abs(), f64::min);
+        let least = connected.iter().map(|(_, least)| *least).fold(correlation.abs(), f64::min);
         groups = others;
         groups.push((joined, least));
     }

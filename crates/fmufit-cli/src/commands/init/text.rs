@@ -153,8 +153,8 @@ fn left_out(candidates: &[Candidate]) -> Vec<String> {
         }
     }
     let line = |reason: &&str| {
-        let own = candidates.iter().filter(|candidate| candidate.reason.as_deref() == Some(*reason));
-        let names: Vec<&str> = own.map(|candidate| candidate.name.as_str()).collect();
+        let excluded = candidates.iter().filter(|candidate| candidate.reason.as_deref() == Some(*reason));
+        let names: Vec<&str> = excluded.map(|candidate| candidate.name.as_str()).collect();
         let more = match names.len().saturating_sub(LISTED) {
             0 => String::new(),
             n => format!(" and {n} more (fmufit info --causality parameter)"),

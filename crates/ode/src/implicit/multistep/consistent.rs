@@ -10,7 +10,7 @@ use super::left_side::{LeftSide, NOISE};
 use crate::error_norm::ErrorWeights;
 use crate::implicit::algebraic::{Algebraic, sizes};
 use crate::implicit::kept_jacobian::KeptJacobian;
-use crate::lu::make_room;
+use crate::lu::resize_matrix;
 use crate::stepper::{Consistency, Equations, Point, PointMut};
 use crate::system::{CallError, CallResult};
 
@@ -85,7 +85,7 @@ impl LeftSide {
         let n = point.x.len();
         let mut defect = vec![0.0; n];
         self.defect(equations, point, &mut defect)?;
-        self.is_known = false;
+        self.is_evaluated = false;
         self.renew(equations, point, &defect)?;
         let mut matrix = vec![0.0; n * n];
         self.slopes.each(|i, k, m| matrix[i + n * k] = m);
@@ -154,7 +154,7 @@ impl LeftSide {
         for _ in 0..MAX_ROUNDS {
             let is_new = self.renew(equations, Point { t, x, slopes }, defect)?;
             if is_sparse {
-                make_room(&mut self.mass, n, 0.0)?;
+                resize_matrix(&mut self.mass, n, 0.0)?;
                 self.mass.fill(0.0);
                 let Self { mass, slopes, .. } = self;
                 slopes.each(|i, k, m| mass[i + n * k] = m);
@@ -186,9 +186,9 @@ impl LeftSide {
                 weights: equations.weights,
                 stats: &mut *equations.stats,
             };
-            let (jacobian, is_known) = freshness.jacobian_mut();
+            let (jacobian, has_jacobian) = freshness.jacobian_mut();
             let point = PointMut { t, x, slopes: defect };
-            let found = algebraic.make_consistent(&mut inner, point, jacobian, is_known)?;
+            let found = algebraic.make_consistent(&mut inner, point, jacobian, has_jacobian)?;
             if inner.stats.jacobians > before {
                 freshness.take_new(found == Consistency::Holds);
             }

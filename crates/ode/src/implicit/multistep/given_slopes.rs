@@ -54,9 +54,9 @@ impl HybridSystem for AtSlopes<'_> {
         if self.kind != Kind::Residual {
             return self.system.jacobian(t, x, j);
         }
-        let known = self.system.residual_jacobian(t, x, self.slopes, Argument::States, j)?;
+        let is_available = self.system.residual_jacobian(t, x, self.slopes, Argument::States, j)?;
         j.iter_mut().for_each(|v| *v = -*v);
-        Ok(known)
+        Ok(is_available)
     }
     fn directional_derivative(
         &mut self,

@@ -10,7 +10,7 @@ use crate::error_norm::ErrorWeights;
 use crate::implicit::algebraic::Algebraic;
 use crate::implicit::kept_jacobian::KeptJacobian;
 use crate::jacobian::Jacobian;
-use crate::lu::{Lu, make_room};
+use crate::lu::{Lu, resize_matrix};
 use crate::options::Options;
 use crate::stepper::{Equations, Point};
 use crate::system::{CallError, CallResult, HybridSystem};
@@ -31,7 +31,7 @@ pub(super) struct LeftSide {
     pub(super) mass: Vec<f64>,
     /// `dF/dx'`.
     pub(super) slopes: Jacobian,
-    pub(super) is_known: bool,
+    pub(super) is_evaluated: bool,
     /// True if the residual is an affine function of the slopes; `None` if this is not known yet.
     pub(super) is_affine: Option<bool>,
     /// `is_split`: the algebraic part is valid for this run. `is_checked`: the index was found to be 0 or 1.
@@ -81,14 +81,14 @@ impl LeftSide {
             }
             None => Kind::Identity,
         };
-        self.is_known = self.kind == Kind::Mass;
+        self.is_evaluated = self.kind == Kind::Mass;
         self.is_affine = system.has_jacobian().then_some(false);
         self.is_split = false;
         self.is_checked = false;
         if self.kind == Kind::Residual {
             self.slopes.begin(system)?;
             if !self.slopes.is_sparse() && self.mass.len() != n * n {
-                make_room(&mut self.mass, n, 0.0)?;
+                resize_matrix(&mut self.mass, n, 0.0)?;
             }
             self.last.resize(self.slopes.values.len(), 0.0);
         }
@@ -170,7 +170,7 @@ impl LeftSide {
             self.is_affine = Some(self.look_for_curvature(equations, point, defect)?);
         }
         let is_affine = self.is_affine == Some(true);
-        if self.is_known && is_affine && self.is_as_before(equations, point, defect)? {
+        if self.is_evaluated && is_affine && self.is_as_before(equations, point, defect)? {
             return Ok(false);
         }
         // If the residual is affine, longer differences are more accurate.
@@ -185,8 +185,8 @@ impl LeftSide {
             Equations { system: &mut at_state, weights: &self.weights, stats: &mut *equations.stats };
         self.slopes.evaluate(&mut inner, Point { t, x: slopes, slopes: &self.value })?;
         equations.stats.jacobians -= 1;
-        let has_changed = !self.is_known || self.last != self.slopes.values;
-        self.is_known = true;
+        let has_changed = !self.is_evaluated || self.last != self.slopes.values;
+        self.is_evaluated = true;
         if has_changed {
             self.find_slopes();
             if !self.slopes.is_sparse() {

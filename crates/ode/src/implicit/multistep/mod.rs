@@ -307,7 +307,7 @@ impl Multistep {
         if self.extra >= self.jacobian_cost {
             self.extra = 0.0;
             if self.is_newton {
-                self.freshness.want_jacobian();
+                self.freshness.request_jacobian();
             } else {
                 self.is_newton = self.begin_matrices(system).is_ok();
                 if !self.is_newton {
@@ -413,9 +413,9 @@ impl Stepper for Multistep {
             order: 1,
             takes_mass_matrix: self.formula == Formula::Bdf,
             takes_residual: self.formula == Formula::Bdf,
-            only_own_slopes: !self.left.is_identity(),
+            slopes_from_stepper_only: !self.left.is_identity(),
             interior_samples: 1,
-            wants_second_derivative: true,
+            needs_second_derivative: true,
             evaluates_ends: false,
             takes_jacobians: self.formula == Formula::Bdf,
             ..Properties::default()
@@ -522,7 +522,7 @@ impl Stepper for Multistep {
         self.prepare(equations, trial)?;
         if !self.correct(equations, end)? {
             self.growth = 1.0;
-            self.freshness.want_jacobian();
+            self.freshness.request_jacobian();
             return Ok(Attempt::NotSolved { h: 0.25 * h });
         }
         for (z, l) in self.z_new.iter_mut().zip(self.coefficients.l).take(self.order + 1) {

@@ -94,9 +94,9 @@ impl Terms {
         let (q, w) = (correction(theta), theta * nodes(theta));
         for (i, bend) in self.bend.iter_mut().enumerate() {
             // Both values are relative to the point where the steps meet.
-            let known = last.value(i, -1.0);
+            let before = last.value(i, -1.0);
             let continued = trial.value(i, theta - 1.0) - trial.value(i, -1.0) + q * self.defect[i];
-            *bend = (known - continued) / w;
+            *bend = (before - continued) / w;
         }
         LARGEST_BEND * scaled_norm(&self.bend, inverse)
     }

@@ -107,8 +107,8 @@ impl Radau5 {
     /// negative. Computed once per Jacobian.
     pub(crate) fn spectrum(&mut self) -> (f64, f64) {
         const HALF: i32 = 10;
-        if let Some(known) = self.spectrum {
-            return known;
+        if let Some(spectrum) = self.spectrum {
+            return spectrum;
         }
         let Self { freshness, inverse, stages: Stages { point: v, .. }, error: product, .. } = self;
         for (i, (v, inverse)) in v.iter_mut().zip(&*inverse).enumerate() {
@@ -275,9 +275,9 @@ impl Stepper for Radau5 {
         }
         let before = equations.stats.jacobians;
         let Self { algebraic, freshness, f, .. } = self;
-        let (jacobian, is_known) = freshness.jacobian_mut();
+        let (jacobian, has_jacobian) = freshness.jacobian_mut();
         let point = PointMut { t, x, slopes: f };
-        let found = algebraic.make_consistent(equations, point, jacobian, is_known)?;
+        let found = algebraic.make_consistent(equations, point, jacobian, has_jacobian)?;
         if equations.stats.jacobians > before {
             // If nothing was changed, the Jacobian is valid for the current point.
             freshness.take_new(found == Consistency::Holds);
@@ -423,6 +423,6 @@ impl Stepper for Radau5 {
             std::mem::swap(&mut self.trial, &mut self.last);
         }
         // A slightly larger step does not justify a decomposition.
-        if !self.freshness.wants_jacobian() && (1.0..=1.2).contains(&(proposed / h)) { h } else { proposed }
+        if !self.freshness.needs_jacobian() && (1.0..=1.2).contains(&(proposed / h)) { h } else { proposed }
     }
 }

@@ -117,7 +117,7 @@ def also_called(*, groups: tuple[type, ...] = (), **others: str) -> Callable[[Ca
         setattr(function, "_grouped_names", tuple(field.name for group in groups for field in fields(group)))
         names = argument_names(function)
         positional = list(_signature(function).parameters)
-        known = frozenset(("self", *names))
+        accepted = frozenset(("self", *names))
 
         def translated(n_positional: int, given: dict[str, Any]) -> dict[str, Any]:
             for other in others.keys() & given.keys():
@@ -126,15 +126,15 @@ def also_called(*, groups: tuple[type, ...] = (), **others: str) -> Callable[[Ca
                     given[name] = value
                 elif value is not None:
                     raise ValueError(f"{name} and {other} are the same argument; specify only one of them")
-            if not known.issuperset(given):
-                name = next(name for name in given if name not in known)
+            if not accepted.issuperset(given):
+                name = next(name for name in given if name not in accepted)
                 owner = function.__qualname__.removesuffix(".__init__")
                 raise TypeError(f"{owner}() has no argument {name!r}{_hint(name, names)}")
             return given
 
         @functools.wraps(function)
         def call(*args: Any, **kwargs: Any) -> R:
-            if not known.issuperset(kwargs):
+            if not accepted.issuperset(kwargs):
                 kwargs = translated(len(args), kwargs)
             return function(*args, **kwargs)
 
@@ -168,10 +168,10 @@ def positional_until(count: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
 def check_options(options: Collection[str], function: Callable[..., Any]) -> None:
     """Rejects options that are arguments of `function`, and options of other tools, and suggests the names used
     here."""
-    arguments, known = argument_names(function), _core.option_names()
+    arguments, accepted = argument_names(function), _core.option_names()
     for name in options:
         # Files use "rng" as the name of a seed.
-        if name in known and name != "rng":
+        if name in accepted and name != "rng":
             continue
         if name in arguments:
             raise ValueError(f"{name} is an argument of {function.__name__}, not an option")

@@ -45,22 +45,22 @@ def record(
     """Returns the settings of a run over `n` parameters for the function `of`: the options with the other arguments.
 
     `function` is the Python function to minimise, or None."""
-    asked = dictionary(options)
-    _keywords.check_options(asked, of)
-    if asked.get("warm_start") is not None:
-        points, problem = warm_start(asked["warm_start"], n)
-        asked["warm_start"] = [{"x": x, "cost": cost, "residuals": [], "problem": problem} for x, cost in points]
-    if asked.get("initial_simplex") is not None:
-        check_simplex(asked["initial_simplex"], n)
-    if asked.get("initial_population") is not None:
-        asked["initial_population"] = population(asked["initial_population"], n)
-    asked.update(arguments, method=_values.choice("method", method), seed=seed(rng))
+    requested = dictionary(options)
+    _keywords.check_options(requested, of)
+    if requested.get("warm_start") is not None:
+        points, problem = warm_start(requested["warm_start"], n)
+        requested["warm_start"] = [{"x": x, "cost": cost, "residuals": [], "problem": problem} for x, cost in points]
+    if requested.get("initial_simplex") is not None:
+        check_simplex(requested["initial_simplex"], n)
+    if requested.get("initial_population") is not None:
+        requested["initial_population"] = population(requested["initial_population"], n)
+    requested.update(arguments, method=_values.choice("method", method), seed=seed(rng))
     if checkpoint is not None:
-        asked["checkpoint"] = _values.path("checkpoint", checkpoint)
+        requested["checkpoint"] = _values.path("checkpoint", checkpoint)
         # A problem with a name identifies the objective on the user's responsibility.
-        if function is not None and asked.get("problem") is None:
-            asked["function"] = function_name(function)
-    return asked
+        if function is not None and requested.get("problem") is None:
+            requested["function"] = function_name(function)
+    return requested
 
 
 def function_name(function: Callable[..., Any]) -> str:
@@ -142,11 +142,11 @@ def warm_start(value: Any, n: int) -> tuple[list[tuple[list[float], float]], str
 
 def with_plan(options: Mapping[str, Any] | None, workers: int | None) -> dict[str, Any]:
     """Replaces a batch plan "workers" among the options by the number of workers."""
-    own = dictionary(options)
-    plan = own.get("batch")
+    planned = dictionary(options)
+    plan = planned.get("batch")
     if isinstance(plan, str):
-        own["batch"] = (workers or all_cores()) if plan.lower() == "workers" else plan.lower()
-    return own
+        planned["batch"] = (workers or all_cores()) if plan.lower() == "workers" else plan.lower()
+    return planned
 
 
 def worker_count(name: str, value: SupportsIndex | None, default: int | None) -> int | None:
@@ -205,11 +205,11 @@ def population(value: npt.ArrayLike, n: int) -> FloatArray:
 
 def solver(name: str, argument: str = "solver") -> str:
     """Returns the name of an integration method. SciPy's names and ``CVode`` are replaced by a method of pydfo."""
-    ours = _core.solver_standing_for(_values.choice(argument, name))
-    if ours is None:
+    alias = _core.solver_of_alias(_values.choice(argument, name))
+    if alias is None:
         return name
-    _log.info("%s is not available; using %s=%r instead", name, argument, ours)
-    return ours
+    _log.info("%s is not available; using %s=%r instead", name, argument, alias)
+    return alias
 
 
 #: Defaults of the settings of a model run, except None.

@@ -189,7 +189,7 @@ class Calibration(Evaluation):
         if run_in.isolation == "process":
             # An interpreter starts while data and model are read; it ends with this object if nothing is evaluated.
             self._started_ahead = _core.start_worker_ahead()
-        own: dict[str, Any] = {
+        of_experiment: dict[str, Any] = {
             "window": window,
             "weights": weights,
             "sigma": sigma,
@@ -205,7 +205,7 @@ class Calibration(Evaluation):
             "mask": mask,
             "resample": resample,
         }
-        experiments, parameters = collected(data, outputs, parameters, inputs, **own)
+        experiments, parameters = collected(data, outputs, parameters, inputs, **of_experiment)
         needed = "parameters must be a list of pydfo.Parameter(name, start, lower, upper)"
         if not isinstance(parameters, (Parameter, Iterable)):
             raise TypeError(f"{needed}, not {_text.show(parameters)}")
@@ -232,9 +232,9 @@ class Calibration(Evaluation):
         self._native = _core.Calibration(source, experiments, record, list(self._parameters))
         for warning in self._native.warnings():
             warnings.warn(warning, CalibrationWarning, stacklevel=3)
-        if run_in.isolation == "process" and not _worker.is_known:
-            said = f"the FMU runs in this process, because no Python interpreter was found for worker processes (sys.executable is {sys.executable!r})"
-            warnings.warn(said, CalibrationWarning, stacklevel=2)
+        if run_in.isolation == "process" and not _worker.has_interpreter:
+            message = f"the FMU runs in this process, because no Python interpreter was found for worker processes (sys.executable is {sys.executable!r})"
+            warnings.warn(message, CalibrationWarning, stacklevel=2)
         given = {name for parameter in self._parameters for name in (parameter.name, *(parameter.variables or ()))}
         given.update(name for experiment in experiments for name, _ in experiment.start_values + experiment.initial_states)
         if forgotten := [name for name in getattr(model, "_names_set", list)() if name not in given]:
@@ -405,11 +405,11 @@ class Calibration(Evaluation):
         """
         check_callback(callback)
         bounds = merged(Limits, "limits", limits, given_limits)
-        own = given_once(
+        method_options = given_once(
             _options.dictionary(options), Calibration.fit, x_tol=x_tol, f_tol=f_tol, stop=stop, initial_simplex=initial_simplex, batch=batch
         )
         for name in ("scale", "nominal", "kinds"):
-            if name in own:
+            if name in method_options:
                 raise ValueError(f"options: set {name} in each Parameter instead")
         given: Any = workers
         executor = _evaluate.executor_of(given)
@@ -419,7 +419,7 @@ class Calibration(Evaluation):
 
             engine = Simulations(self, executor, _values.optional_number("max_time", bounds.max_time))
         count = engine.width if engine else _options.worker_count("workers", given, None)
-        own = _options.with_plan(own, count)
+        method_options = _options.with_plan(method_options, count)
         cost = _cost.built(objective, self)
         record = functools.partial(
             _options.record,
@@ -432,20 +432,20 @@ class Calibration(Evaluation):
             resume=resume,
             search=search,
         )
-        asked = record(method, own, **asdict(bounds), loss=loss, f_scale=f_scale, covariance=covariance, preflight=preflight, noise=noise)
+        requested = record(method, method_options, **asdict(bounds), loss=loss, f_scale=f_scale, covariance=covariance, preflight=preflight, noise=noise)
         display = Display(self.names, disp, watch, callback, bounds)
         begin = self._values(start, "start")
         objects = {
             "start": begin,
             "observer": display.observer,
-            "stages": None if stages is None else _stages.records(_stages.collected(stages), method, own, record),
+            "stages": None if stages is None else _stages.records(_stages.collected(stages), method, method_options, record),
             "objective": cost,
             "engine": engine,
             "page": display.page_opened,
         }
         try:
             with display.running():
-                result = self._native.fit(asked, objects)
+                result = self._native.fit(requested, objects)
         except BaseException as e:
             # Results attached by the native code also become fits.
             for name in ("result", "partial_result"):
@@ -624,11 +624,11 @@ class Calibration(Evaluation):
         ValueError
             There is only one recording, or there are more folds than recordings.
         """
-        own = given_once(_options.dictionary(options), Calibration.cross_validate, x_tol=x_tol, f_tol=f_tol)
-        asked = _options.record(
+        method_options = given_once(_options.dictionary(options), Calibration.cross_validate, x_tol=x_tol, f_tol=f_tol)
+        requested = _options.record(
             Calibration.fit,
             method,
-            own,
+            method_options,
             len(self.names),
             rng=rng,
             workers=_options.worker_count("workers", workers, None),
@@ -640,7 +640,7 @@ class Calibration(Evaluation):
             noise=noise,
             folds=folds,
         )
-        return CrossValidation(_core.cross_validate(self._native, asked))
+        return CrossValidation(_core.cross_validate(self._native, requested))
 
     def _fit(self, result: OptimizeResult, start: list[float]) -> Fit:
         return Fit(self, result, np.array(start), self._native.solver())

@@ -77,7 +77,7 @@ class Experiment:
         Factor of the residuals of each output: a number, or one number per measurement, as a column or as an array as
         long as the recording. An array of Booleans is a mask. Measurements with weight 0 do not count. Weights refer
         to the unit of the column and are converted with it. A weight of 1, and weights of only 0 and 1, state no
-        noise and are not converted. Where a measurement is missing, its weight may be missing (NaN). "range", "mean"
+        noise and are not converted. If a measurement is missing, its weight may be missing (NaN). "range", "mean"
         or "sd", for all outputs or for one, is the inverse of the range, mean or standard deviation of the
         measurements in the whole recording; it takes precedence over a column with this name.
     sigma : number, column or dict, optional
@@ -267,7 +267,7 @@ def _errors_name(experiment: str | None) -> Iterator[None]:
         raise
 
 
-def collected(data: Any, outputs: Any, parameters: Any, inputs: Any, **own: Any) -> tuple[list[Experiment], Any]:
+def collected(data: Any, outputs: Any, parameters: Any, inputs: Any, **settings: Any) -> tuple[list[Experiment], Any]:
     """Returns the experiments and the parameters of a calibration from its arguments.
 
     The arguments are one recording with its settings, or experiments followed by the parameters."""
@@ -275,13 +275,13 @@ def collected(data: Any, outputs: Any, parameters: Any, inputs: Any, **own: Any)
     if experiments is not None:
         if parameters is None:
             outputs, parameters = None, outputs
-        given = {"outputs": outputs, "inputs": inputs, **own}
+        given = {"outputs": outputs, "inputs": inputs, **settings}
         if misplaced := [name for name, value in given.items() if value is not None]:
             raise TypeError(f"{', '.join(misplaced)}: with experiments, specify this argument in each Experiment")
     elif outputs is None:
         raise TypeError("Calibration() requires the argument 'outputs'")
     else:
-        experiments = [Experiment(data, outputs, inputs, **{name: value for name, value in own.items() if value is not None})]
+        experiments = [Experiment(data, outputs, inputs, **{name: value for name, value in settings.items() if value is not None})]
     if parameters is None:
         raise TypeError("Calibration() requires the argument 'parameters'")
     return experiments, parameters
@@ -371,10 +371,10 @@ def weighted(outputs: list[tuple[str, str]], weights: Weights | None) -> list[tu
     if weights is None:
         return [(variable, column, 1.0) for variable, column in outputs]
     if isinstance(weights, Mapping):
-        known = [variable for variable, _ in outputs]
+        available = [variable for variable, _ in outputs]
         for name in weights:
-            if name not in known:
-                raise BadCalibrationError(f"weights: unknown output '{name}'; expected one of: {', '.join(known)}")
+            if name not in available:
+                raise BadCalibrationError(f"weights: unknown output '{name}'; expected one of: {', '.join(available)}")
         return [(v, c, _weight(v, weights.get(v, 1.0))) for v, c in outputs]
     if isinstance(weights, str):
         return [(variable, column, (weights,)) for variable, column in outputs]
@@ -393,11 +393,11 @@ def with_sigma(
     """Replaces the weights of outputs whose noise is known."""
     if sigma is None:
         return weighed
-    known = [variable for variable, _, _ in weighed]
-    given = dict(sigma) if isinstance(sigma, Mapping) else dict.fromkeys(known, sigma)
+    available = [variable for variable, _, _ in weighed]
+    given = dict(sigma) if isinstance(sigma, Mapping) else dict.fromkeys(available, sigma)
     for name in given:
-        if name not in known:
-            raise BadCalibrationError(f"sigma: unknown output '{name}'; expected one of: {', '.join(known)}")
+        if name not in available:
+            raise BadCalibrationError(f"sigma: unknown output '{name}'; expected one of: {', '.join(available)}")
     for variable, _, weight in weighed:
         if variable in given and weight != 1.0:
             raise BadCalibrationError(f"output '{variable}' has a weight and a sigma. Specify one of them")

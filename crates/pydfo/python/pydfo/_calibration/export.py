@@ -55,8 +55,8 @@ def load_fit(path: PathLike, fmu: Any = None, inputs: Inputs | Mapping[str, Inpu
         The file cannot be read.
     BadCalibrationError
         The file does not contain a fit, is truncated or damaged, or has a format that this version cannot read; the
-        message reports the version that wrote it. Also if `fmu` has another content, or functions of time are
-        missing. A ValueError.
+        message reports the version that wrote it. It is also raised if the content of `fmu` differs, or
+        functions of time are missing. A ValueError.
 
     Examples
     --------
@@ -75,7 +75,7 @@ def _functions(path: str, given: Inputs | Mapping[str, Inputs]) -> list[tuple[in
         raise TypeError(f"inputs must be a dict of input names and functions, not {show(given)}")
     wanted = _core.functions_of_fit(path)
     experiments = {name for _, name, _ in wanted}
-    nested = {name: own for name, own in given.items() if isinstance(own, Mapping)}
+    nested = {name: functions for name, functions in given.items() if isinstance(functions, Mapping)}
     found, missing = [], []
     for k, experiment, variable in wanted:
         function = nested.get(experiment, {}).get(variable, given.get(variable))
@@ -85,10 +85,10 @@ def _functions(path: str, given: Inputs | Mapping[str, Inputs]) -> list[tuple[in
             raise TypeError(f"inputs[{variable!r}] must be a function of time, not {show(function)}")
         else:
             missing.append(variable)
-    known = {variable for _, _, variable in wanted}
-    named = [name for name in given if name not in nested] + [name for own in nested.values() for name in own]
-    if unknown := [name for name in nested if name not in experiments] + [name for name in named if name not in known]:
-        there = ", ".join(sorted(known)) or "none"
+    available = {variable for _, _, variable in wanted}
+    named = [name for name in given if name not in nested] + [name for functions in nested.values() for name in functions]
+    if unknown := [name for name in nested if name not in experiments] + [name for name in named if name not in available]:
+        there = ", ".join(sorted(available)) or "none"
         raise BadCalibrationError(f"{path}: {unknown[0]!r} is not driven by a function of time; inputs driven by functions: {there}")
     if missing:
         names = ", ".join(dict.fromkeys(missing))
@@ -106,8 +106,8 @@ def _loaded(
 
     fmu = None
     if model is not None:
-        known = getattr(model, "_fmu", None)
-        fmu = known if isinstance(known, _core.Fmu) else _core.Fmu(path_of(model), opened)
+        native = getattr(model, "_fmu", None)
+        fmu = native if isinstance(native, _core.Fmu) else _core.Fmu(path_of(model), opened)
     native, result = _core.load_fit(path, content, fmu, functions)
     calibration = Calibration.__new__(Calibration)
     place, parameters = native.arguments()

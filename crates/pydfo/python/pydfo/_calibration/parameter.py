@@ -202,7 +202,7 @@ class Parameter:
             raise TypeError(f"prior must be pydfo.Normal(mean, sd) or pydfo.LogNormal(median, sigma), not {show(prior)}")
         listed = [variables] if isinstance(variables, str) else variables
         acting = [experiments] if isinstance(experiments, str) else experiments
-        asked: Record = {
+        given: Record = {
             "name": name,
             "start": start,
             "lower": lower,
@@ -225,9 +225,9 @@ class Parameter:
             "display_name": display_name,
             "prior": None if prior is None else prior._record(),
         }
-        checked = _core.check_parameter(asked)
-        checked.update(prior=prior, variables=None if listed is None else tuple(asked["variables"]))
-        checked.update(experiments=None if acting is None else tuple(asked["experiments"]))
+        checked = _core.check_parameter(given)
+        checked.update(prior=prior, variables=None if listed is None else tuple(given["variables"]))
+        checked.update(experiments=None if acting is None else tuple(given["experiments"]))
         checked.update(lower=-np.inf if checked["lower"] is None else checked["lower"])
         checked.update(upper=np.inf if checked["upper"] is None else checked["upper"])
         for field, value in checked.items():
@@ -245,16 +245,16 @@ class Parameter:
         return cls(**{**record, "prior": of_kind})
 
     def __repr__(self) -> str:
-        said = [repr(self.name)]
+        arguments = [repr(self.name)]
         if self.start is not None:
-            said.append(repr(self.start))
-            said.append("None" if self.lower == -np.inf else repr(self.lower))
-            said.append("None" if self.upper == np.inf else repr(self.upper))
+            arguments.append(repr(self.start))
+            arguments.append("None" if self.lower == -np.inf else repr(self.lower))
+            arguments.append("None" if self.upper == np.inf else repr(self.upper))
         for field in fields(self)[4:]:
             value = getattr(self, field.name)
             if value != _DEFAULTS.get(field.name):
-                said.append(f"{field.name}={value!r}")
-        return f"Parameter({', '.join(said)})"
+                arguments.append(f"{field.name}={value!r}")
+        return f"Parameter({', '.join(arguments)})"
 
 
 #: Default values, which representations omit; None for all other fields.

@@ -114,18 +114,18 @@ def simulate(
     start = time.perf_counter()
     if version != _core.__version__:
         raise ImportError(f"{socket.gethostname()} has fmufit {_core.__version__}, but the fit was started with {version}. Install the same version.")
-    known = _kept_problem(key)
-    if known is None:
+    opened = _kept_problem(key)
+    if opened is None:
         if problem is None:
             return Missing("problem", socket.gethostname(), os.getpid())
         try:
-            known = problem.open()
+            opened = problem.open()
         except FileNotFoundError:
             if problem.model is not None:
                 raise
             return Missing("model", socket.gethostname(), 0)
-        _keep_problem(key, known, len(problem.state))
-    answer = known.answer(np.ascontiguousarray(x), cutoff, loss, deadline and deadline.left())
+        _keep_problem(key, opened, len(problem.state))
+    answer = opened.answer(np.ascontiguousarray(x), cutoff, loss, deadline and deadline.left())
     return time.perf_counter() - start, answer
 
 
@@ -161,8 +161,8 @@ class Simulations(_evaluate.Futures):
         """Sets the problem of all following points."""
         self._problem = Problem(state, self._calibration._opened, self._calibration._functions)
         # A hash cannot distinguish input functions.
-        own = uuid.uuid4().bytes if self._calibration._functions else b""
-        self._key = hashlib.sha256(state + own).hexdigest()
+        function_id = uuid.uuid4().bytes if self._calibration._functions else b""
+        self._key = hashlib.sha256(state + function_id).hexdigest()
         self._loss = loss
 
     def _send(self, number: int, problem: Problem | None) -> None:

@@ -104,13 +104,13 @@ def collected(stages: Any) -> list[Stage]:
 
 
 def records(
-    stages: Sequence[Stage], method: str, own: Mapping[str, Any], record: Callable[..., _options.Record]
+    stages: Sequence[Stage], method: str, fit_options: Mapping[str, Any], record: Callable[..., _options.Record]
 ) -> list[_options.Record]:
     """Returns the stages with their common settings. `method` and the options `own` apply to stages without a
     method."""
     found = []
     for stage in stages:
-        inherited = own if stage.method is None else {name: own[name] for name in ("x_tol", "f_tol", "stop") if name in own}
-        asked = record(stage.method or method, {**inherited, **stage.options}, **stage.limits)
-        found.append({**asked, "parameters": stage.parameters, "windows": stage.windows})
+        inherited = fit_options if stage.method is None else {name: fit_options[name] for name in ("x_tol", "f_tol", "stop") if name in fit_options}
+        requested = record(stage.method or method, {**inherited, **stage.options}, **stage.limits)
+        found.append({**requested, "parameters": stage.parameters, "windows": stage.windows})
     return found

@@ -21,9 +21,9 @@ _core.serve_worker()
 def interpreter() -> str | None:
     """Returns the running interpreter, even if `sys.executable` is a program that embeds one."""
     name = f"python{sys.version_info.major}.{sys.version_info.minor}"
-    own = [sys.executable, getattr(sys, "_base_executable", None)]
+    of_this_interpreter = [sys.executable, getattr(sys, "_base_executable", None)]
     of_folders = [os.path.join(folder, "bin", name) for folder in (sys.exec_prefix, sys.base_exec_prefix)]
-    for program in (*own, *of_folders):
+    for program in (*of_this_interpreter, *of_folders):
         is_python = program and os.path.basename(program).lower().startswith(("python", "pypy"))
         if program and is_python and os.access(program, os.X_OK):
             return program
@@ -31,13 +31,13 @@ def interpreter() -> str | None:
 
 
 #: True if worker processes can be started.
-is_known = False
+has_interpreter = False
 
 
-def know_interpreter() -> None:
+def set_interpreter() -> None:
     """Registers this interpreter as the one that starts worker processes."""
-    global is_known
+    global has_interpreter
     if (program := interpreter()) is not None:
         library = os.path.abspath(_core.__file__)
         _core.set_launcher(program, ["-I", "-S", "-c", _PROGRAM, os.path.dirname(library)], library)
-        is_known = True
+        has_interpreter = True

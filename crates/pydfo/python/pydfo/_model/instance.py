@@ -107,7 +107,7 @@ class Instance:
     "terminated"       `get`                                                    `reset`
     =================  =======================================================  ===============================================
 
-    A call in another phase raises a ValueError that names the required phase. If a call that changes the phase fails,
+    A call in another phase raises a ValueError with the name of the required phase. If a call that changes the phase fails,
     the instance is freed. Each instance has a separate worker process, with the working folder and the environment
     variables at the time of its creation. A crash of the FMU, or Ctrl-C during a call, ends that process. The call
     raises, and each later call raises a ValueError. Instances do not wait for each other, and the behaviour of the
@@ -166,7 +166,7 @@ class Instance:
         visible: bool = False,
         isolation: Literal["none", "process"] | None = None,
     ) -> None:
-        is_asked, categories = _log_request(logging)
+        has_logging, categories = _log_request(logging)
         values: dict[str, Any] = {}
         if isinstance(path, FMUModel):
             values = dict(path._model.values_set())
@@ -175,7 +175,7 @@ class Instance:
             fmu = _core.Fmu(_values.path("path", path), OpenOptions())
         self._fmu = fmu
         place = None if isolation is None else _values.choice("isolation", isolation)
-        self._native = _core.Instance(fmu, kind, name, is_asked, list(categories), _values.flag("visible", visible), place)
+        self._native = _core.Instance(fmu, kind, name, has_logging, list(categories), _values.flag("visible", visible), place)
         self._time: float | None = None
         if values:
             self.set(values)
@@ -478,8 +478,8 @@ class Instance:
 
     def set_logging(self, logging: bool | str | Sequence[str] = True) -> None:
         """Switches the FMU's log on (True), off (False), or on for the given categories."""
-        is_asked, categories = _log_request(logging)
-        self._native.set_logging(is_asked, list(categories))
+        has_logging, categories = _log_request(logging)
+        self._native.set_logging(has_logging, list(categories))
 
     @property
     def log(self) -> list[str]:

@@ -170,10 +170,10 @@ class FMUModel:
     ) -> None:
         if not isinstance(kind, str):
             raise TypeError(f"kind must be a string, not {kind!r}")
-        is_asked, categories = _log_request(logging)
+        has_logging, categories = _log_request(logging)
         self._opened = OpenOptions(
             log_level=_log_level(log_level),
-            logging=is_asked,
+            logging=has_logging,
             log_categories=categories,
             show_log=log_level is not None,
             deepbind=_values.flag("deepbind", deepbind),
@@ -491,8 +491,8 @@ class FMUModel:
             initial_states=[name for name, _ in states],
         )
         result = SimulationResult(**self._model.simulate(request))
-        if len(result.time) and (said := _inputs.held_beyond(tables, float(result.time[0]), float(result.time[-1]))):
-            warnings.warn(said, UserWarning, stacklevel=2)
+        if len(result.time) and (message := _inputs.held_beyond(tables, float(result.time[0]), float(result.time[-1]))):
+            warnings.warn(message, UserWarning, stacklevel=2)
         if chattering == "warn" and result.stats.chattering:
             _log.warning("simulate: time hardly advanced during %d sequences of 100 events", result.stats.chattering)
         return result

@@ -275,7 +275,7 @@ class DaskExecutor:
 def executor_of(workers: Any) -> Any:
     """Returns the executor for `workers`: itself, or one on a Dask client. Returns None if it is no executor.
 
-    Raises TypeError for objects of joblib that are not executors, and names the object to pass instead."""
+    Raises TypeError for objects of joblib that are not executors, and suggests the object to pass instead."""
     if callable(getattr(workers, "get_executor", None)):
         return DaskExecutor(workers, {})
     if type(workers).__module__ == "distributed.cfexecutor":
@@ -307,8 +307,8 @@ def worker_count(workers: Any) -> int | None:
     if isinstance(workers, DaskExecutor):
         return int(sum(workers._client.nthreads().values()))
     # Attributes of Python's executors, loky and MPI.
-    known = getattr(workers, "_max_workers", None) or getattr(workers, "num_workers", None)
-    return known if isinstance(known, int) and known > 0 else None
+    count = getattr(workers, "_max_workers", None) or getattr(workers, "num_workers", None)
+    return count if isinstance(count, int) and count > 0 else None
 
 
 def plan_width(workers: Any) -> int:

@@ -219,21 +219,21 @@ def fmin(
     n = _size(start, lb, ub)
     lower = _bounds.bound("lb", lb, n, -np.inf)
     upper = _bounds.bound("ub", ub, n, np.inf)
-    own = given_once(
+    method_options = given_once(
         _options.dictionary(options), fmin, x_tol=x_tol, f_tol=f_tol, stop=stop, initial_simplex=initial_simplex, batch=batch
     )
     if method in ("nelder-mead", "barrier"):
-        own.setdefault("coefficients", "standard")
+        method_options.setdefault("coefficients", "standard")
     # Default of the paper.
-    own.setdefault("tolerances", "absolute")
+    method_options.setdefault("tolerances", "absolute")
     if nbr_cores is not None and workers is not None:
         raise ValueError("nbr_cores and workers are the same argument; specify only one of them")
     name, given = ("nbr_cores", nbr_cores) if workers is None else ("workers", workers)
     batches, count = _evaluate.shared_out(func, name, given, 1)
-    asked = _options.record(
+    requested = _options.record(
         fmin,
         method,
-        own,
+        method_options,
         n,
         rng=rng,
         checkpoint=checkpoint,
@@ -269,8 +269,8 @@ def fmin(
             None if start is None else start.tolist(),
             lower.tolist(),
             upper.tolist(),
-            asked,
-            tolerant=on_error == "fail",
+            requested,
+            failures_allowed=on_error == "fail",
             observer=combine(listeners),
             batches=batches is not None,
             detail=debug,

@@ -260,15 +260,15 @@ def run(
         if batches is not None:
             raise ValueError("workers must be a number if vectorized=True, because fun evaluates whole batches")
         batches = _evaluate.vectorized(called, of_residuals)
-    own = _options.with_plan(options, count) if of_residuals else options
-    start, lower, upper, asked = describe(of, method, x0, bounds, own, function=fun, workers=count, **arguments)
+    planned = _options.with_plan(options, count) if of_residuals else options
+    start, lower, upper, requested = describe(of, method, x0, bounds, planned, function=fun, workers=count, **arguments)
     result = _core.minimize(
         batches or called,
         start,
         lower,
         upper,
-        asked,
-        tolerant=on_error == "fail",
+        requested,
+        failures_allowed=on_error == "fail",
         observer=None if callback is None else listen(callback),
         batches=batches is not None,
         cutoffs=cutoffs,

@@ -26,12 +26,12 @@ _NAMES = {
 
 def named(record: dict[str, Any], of: type) -> dict[str, Any]:
     """Returns the fields of a result class from a record of the native code."""
-    known = {_NAMES.get(name, name): value for name, value in record.items()}
-    known.update(record["tests"] or {"x_size": None, "f_spread": None})
+    values = {_NAMES.get(name, name): value for name, value in record.items()}
+    values.update(record["tests"] or {"x_size": None, "f_spread": None})
     for name in ("final_simplex", "final_population"):
         if (simplex := record[name]) is not None:
-            known[name] = np.array(simplex["vertices"]), np.array(simplex["costs"], dtype=np.float64)
-    return {field.name: known[field.name] for field in fields(of) if field.name in known}
+            values[name] = np.array(simplex["vertices"]), np.array(simplex["costs"], dtype=np.float64)
+    return {field.name: values[field.name] for field in fields(of) if field.name in values}
 
 
 @dataclass(kw_only=True, eq=False, repr=False)

@@ -33,14 +33,14 @@ def recordings(calibration: _core.Calibration) -> Figure:
                 axis.remove()
                 continue
             variable, label, unit, values, is_input = series[row]
-            known = ~np.isnan(values)
+            present = ~np.isnan(values)
             style: dict[str, Any] = {"lw": 1.2} if is_input else {"ls": "none", "marker": ".", "ms": 3}
             color = "tab:green" if is_input else "black"
             # A line ends at an empty cell. Single values between empty cells are drawn as marks.
             axis.plot(time, values, color=color, **style)
-            if is_input and not known.all():
-                axis.plot(time[known], values[known], color=color, lw=0.8, ls=":")
-                axis.plot(time[known], values[known], color=color, ls="none", marker=".", ms=2)
+            if is_input and not present.all():
+                axis.plot(time[present], values[present], color=color, lw=0.8, ls=":")
+                axis.plot(time[present], values[present], color=color, ls="none", marker=".", ms=2)
             axis.set_ylabel(_text.line(variable + (f" [{unit}]" if unit else "")))
             axis.set_title(_text.line(f"{'input' if is_input else 'measured'}: {label}"), loc="left", fontsize="small")
             if windows and not is_input:

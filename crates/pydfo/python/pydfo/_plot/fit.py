@@ -62,10 +62,10 @@ def fit(fit: Fit, native: _core.Fit) -> Figure:
             handles |= {str(label): handle for handle, label in zip(*upper.get_legend_handles_labels())}
         for row, (experiment, group) in enumerate(inputs[column]):
             _draw_inputs(panel(2 * n_rows + row, experiment), group)
-        for own in panels.values():
-            for axes in own[:-1]:
+        for axes_of_experiment in panels.values():
+            for axes in axes_of_experiment[:-1]:
                 axes.tick_params(labelbottom=False)
-            own[-1].set_xlabel("time [s]")
+            axes_of_experiment[-1].set_xlabel("time [s]")
     values = [f"{short(name)} = {value:.5g}" for name, value in fit.parameters.items()]
     title = ", ".join(values) if len(values) <= MOST_VALUES else None
     figure.legend(

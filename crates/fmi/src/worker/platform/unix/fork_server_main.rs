@@ -1,7 +1,7 @@
 //! The process from which worker processes are forked. It executes orders until the other end is closed.
 
 use super::orders::{FOLDER, Order, receive};
-use super::own_process::become_worker;
+use super::this_worker::become_worker;
 use crate::sys::unix::{close_inherited, fork};
 use crate::worker::folder::{remove, worker_folder};
 use crate::worker::frame::{Frame, FrameSize};

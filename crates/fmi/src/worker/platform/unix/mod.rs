@@ -4,13 +4,13 @@ mod end;
 mod fork_server;
 mod fork_server_main;
 mod orders;
-mod own_process;
 mod process;
+mod this_worker;
 
 pub(in crate::worker) use fork_server::Starter;
 pub(in crate::worker) use fork_server_main::await_order;
-pub(in crate::worker) use own_process::{limit_self, wait_until_closed};
 pub(in crate::worker) use process::ProcessHandle;
+pub(in crate::worker) use this_worker::{limit_self, wait_until_closed};
 
 /// Connection of a worker with its caller: a socket pair.
 pub(in crate::worker) type Channel = std::os::unix::net::UnixStream;

@@ -52,7 +52,7 @@ _READ: dict[str, Callable[[str], Any]] = {
 }
 
 
-def told(attributes: dict[str, str], names: Collection[str]) -> dict[str, Any]:
+def attribute_values(attributes: dict[str, str], names: Collection[str]) -> dict[str, Any]:
     """Returns the attributes that are present and readable, for a class with fields of these names."""
     found = {}
     for name in _READ.keys() & names & attributes.keys():

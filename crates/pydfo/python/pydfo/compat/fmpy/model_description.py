@@ -20,7 +20,7 @@ import numpy as np
 
 from ..._model import description as _native
 from .._refused import hand_out, refuse
-from ._file import DescriptionFile, numbers, read_file, told
+from ._file import DescriptionFile, numbers, read_file, attribute_values
 
 PathLike = str | os.PathLike[str]
 
@@ -315,7 +315,7 @@ def path_of(filename: PathLike | IO[bytes]) -> tuple[str, str | None]:
     return path, folder
 
 
-def _own_name(theirs: str) -> str:
+def _pydfo_name(theirs: str) -> str:
     """Returns the name in pydfo of an attribute of FMPy."""
     return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", theirs).lower()
 
@@ -324,8 +324,8 @@ def _copied(kind: type[Any], found: Any, **others: Any) -> Any:
     """Returns FMPy's object for an object of pydfo.
 
     It copies the attributes with equal names; `others` provides the other ones."""
-    same = (field.name for field in fields(kind) if field.name not in others and hasattr(found, _own_name(field.name)))
-    return kind(**{name: getattr(found, _own_name(name)) for name in same}, **others)
+    same = (field.name for field in fields(kind) if field.name not in others and hasattr(found, _pydfo_name(field.name)))
+    return kind(**{name: getattr(found, _pydfo_name(name)) for name in same}, **others)
 
 
 def _names(kind: type[Any]) -> set[str]:
@@ -337,7 +337,7 @@ def _interface(found: _native.Interface | None, kind: type[Any], file: Descripti
         return None
     can = found.capabilities
     others: dict[str, Any] = {
-        **told(file.interfaces.get(kind.__name__, {}), _names(kind)),
+        **attribute_values(file.interfaces.get(kind.__name__, {}), _names(kind)),
         "modelIdentifier": found.model_identifier,
         "canGetAndSetFMUstate": can.can_get_and_set_state,
         "canSerializeFMUstate": can.can_serialize_state,
@@ -383,15 +383,15 @@ def _dimensions(variable: ModelVariable, extents: Sequence[int | str], variables
             variable.dimensions.append(Dimension(extent, None))
 
 
-def _unknowns(listed: list[tuple[int, dict[str, str]]], known: Mapping[int, ModelVariable]) -> list[Unknown]:
+def _unknowns(listed: list[tuple[int, dict[str, str]]], variables: Mapping[int, ModelVariable]) -> list[Unknown]:
     """Returns a list of the model structure without entries that refer to unknown variables."""
     made = []
     for line, attributes in listed:
         for reference in numbers(attributes.get("index", attributes.get("valueReference", ""))):
-            if reference in known:
+            if reference in variables:
                 by, kinds = attributes.get("dependencies"), attributes.get("dependenciesKind")
-                unknown = Unknown(reference if "index" in attributes else 0, known[reference], sourceline=line)
-                unknown.dependencies = None if by is None else [known[one] for one in numbers(by) if one in known]
+                unknown = Unknown(reference if "index" in attributes else 0, variables[reference], sourceline=line)
+                unknown.dependencies = None if by is None else [variables[one] for one in numbers(by) if one in variables]
                 unknown.dependenciesKind = None if kinds is None else kinds.split()
                 made.append(unknown)
     return made
@@ -416,7 +416,7 @@ def of_description(found: _native.Description, is_strict: bool = True) -> ModelD
     version, file = found.fmi_version, _file_of(found, is_strict)
     types = {name: _type(definition, version) for name, definition in found.type_definitions.items()}
     variables: dict[str, ModelVariable] = {}
-    is_3, own = version.startswith("3"), _names(ModelVariable)
+    is_3, attribute_names = version.startswith("3"), _names(ModelVariable)
     origins: dict[int, ModelVariable] = {}
     for name, v in found.variables.items():
         variables[name] = _copied(
@@ -434,7 +434,7 @@ def of_description(found: _native.Description, is_strict: bool = True) -> ModelD
             aliases=[],
             alias=origins.get(v.index),
             **_texts(v, "min", "max", "nominal", "start"),
-            **(told(file.variables.get(v.value_reference, {}), own) if is_3 else {}),
+            **(attribute_values(file.variables.get(v.value_reference, {}), attribute_names) if is_3 else {}),
         )
         if (origin := origins.setdefault(v.index, variables[name])) is not variables[name]:
             origin.aliases.append(VariableAlias(name, v.description, v.display_unit))
@@ -442,10 +442,10 @@ def of_description(found: _native.Description, is_strict: bool = True) -> ModelD
         if v.derivative is not None:
             variables[name].derivative = variables[v.derivative]
         _dimensions(variables[name], v.dimensions, variables)
-    known = {v.valueReference: v for v in origins.values()} if is_3 else {index + 1: v for index, v in origins.items()}
+    by_reference = {v.valueReference: v for v in origins.values()} if is_3 else {index + 1: v for index, v in origins.items()}
     for variable in variables.values() if is_3 else ():
         clocks = file.variables.get(variable.valueReference, {}).get("clocks")
-        variable.clocks = None if clocks is None else [known[clock] for clock in numbers(clocks) if clock in known]
+        variable.clocks = None if clocks is None else [by_reference[clock] for clock in numbers(clocks) if clock in by_reference]
     default = found.default_experiment
     texts = [text_of(value) for value in (default.start_time, default.stop_time, default.tolerance, default.step_size)]
     made: ModelDescription = _copied(
@@ -463,7 +463,7 @@ def of_description(found: _native.Description, is_strict: bool = True) -> ModelD
         typeDefinitions=list(types.values()),
         # FMPy lists the aliases at the end.
         modelVariables=sorted(variables.values(), key=lambda variable: variable.alias is not None),
-        **{name: _unknowns(listed, known) for name, listed in file.unknowns.items()},
+        **{name: _unknowns(listed, by_reference) for name, listed in file.unknowns.items()},
     )
     return made
 

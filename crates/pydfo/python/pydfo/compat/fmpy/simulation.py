@@ -77,8 +77,8 @@ def _converted(description: Description, variable: Variable, value: Any) -> Any:
         number, unit = float(value[0]), value[1]
         if unit == variable.unit:
             return number
-        known = description.units.get(variable.unit or "")
-        shown = next((display for display in known.display_units if display.name == unit), None) if known else None
+        definition = description.units.get(variable.unit or "")
+        shown = next((display for display in definition.display_units if display.name == unit), None) if definition else None
         if shown is None:
             raise ValueError(f"{variable.name}: {unit!r} is neither the unit of the variable ({variable.unit}) nor one of its display units")
         return (shown.factor / number if shown.inverse else (number - shown.offset) / shown.factor)
@@ -131,8 +131,8 @@ def _input_jumps(signals: np.ndarray[Any, Any], description: Description) -> lis
 
 def _structured(result: NativeResult, description: Description, names: Sequence[str], model: ModelDescription) -> SimulationResult:
     """Returns the columns in FMPy's order: by type, then as in the file."""
-    asked = set(names) - {"time"}
-    whole = [variable.name for variable in model.modelVariables if variable.name in asked]
+    requested = set(names) - {"time"}
+    whole = [variable.name for variable in model.modelVariables if variable.name in requested]
     columns: list[tuple[str, Any, tuple[int, ...]]] = []
     for kind, dtype in _ORDER.items():
         if kind == "Enumeration" and model.fmiMajorVersion < 3:
@@ -322,12 +322,12 @@ def _first(given: float | str | None, suggested: float | None, default: float) -
 
 
 def _interval(
-    description: Description, is_cs: bool, start: float, stop: float, asked: float | None, step: float | None
+    description: Description, is_cs: bool, start: float, stop: float, requested: float | None, step: float | None
 ) -> float:
     """Returns the row spacing by FMPy's rules."""
     span = stop - start
-    if asked is not None:
-        return asked
+    if requested is not None:
+        return requested
     if span <= 0:
         return 1.0
     if not is_cs:
@@ -346,13 +346,13 @@ def _step(description: Description, interval: float) -> float:
     """Returns the communication step of a co-simulation.
 
     If the model has an internal step, rows between its steps are interpolated."""
-    own = description.co_simulation.capabilities.fixed_internal_step_size if description.co_simulation else None
-    return own if own and not np.isclose(round(interval / own) * own, interval, atol=0.0) else interval
+    internal_step = description.co_simulation.capabilities.fixed_internal_step_size if description.co_simulation else None
+    return internal_step if internal_step and not np.isclose(round(interval / internal_step) * internal_step, interval, atol=0.0) else interval
 
 
-def _euler_step(start: float, stop: float, interval: float, asked: float | None) -> float:
+def _euler_step(start: float, stop: float, interval: float, requested: float | None) -> float:
     """Returns the step of FMPy's solver "Euler": the row spacing, if it is a multiple of the requested step."""
-    step = asked if asked is not None else 10.0 ** (np.round(np.log10(stop - start)) - 3)
+    step = requested if requested is not None else 10.0 ** (np.round(np.log10(stop - start)) - 3)
     if not np.isclose(round(interval / step) * step, interval, atol=0.0):
         raise ValueError("output_interval must be a multiple of step_size for fixed step solvers")
     return interval

@@ -85,8 +85,8 @@ class DescribedModel:
             scalar = self._scalar(name)
             is_alias = (v.type, v.value_reference) in seen
             seen.add((v.type, v.value_reference))
-            asked = ((type, scalar.type), (causality, scalar.causality), (variability, scalar.variability))
-            if any(wanted is not None and wanted != has for wanted, has in asked) or (is_alias and not include_alias):
+            filters = ((type, scalar.type), (causality, scalar.causality), (variability, scalar.variability))
+            if any(wanted is not None and wanted != has for wanted, has in filters) or (is_alias and not include_alias):
                 continue
             if (only_start and v.start is None) or (only_fixed and v.initial != "exact"):
                 continue
@@ -177,8 +177,8 @@ class DescribedModel:
 
     def get_variable_alias(self, variable_name: str) -> dict[str, int]:
         """Returns all aliases of a variable with 0 for the first name and 1 for the others."""
-        own = self._variable(variable_name)
-        names = [n for n, v in self._description.variables.items() if (v.type, v.value_reference) == (own.type, own.value_reference)]
+        found = self._variable(variable_name)
+        names = [n for n, v in self._description.variables.items() if (v.type, v.value_reference) == (found.type, found.value_reference)]
         return {name: int(k > 0) for k, name in enumerate(names)}
 
     def get_variable_alias_base(self, variable_name: str) -> str:
@@ -298,14 +298,14 @@ class DescribedModel:
 
     def _names(self, kinds: Sequence[str], references: Any) -> list[str]:
         wanted = np.atleast_1d(np.asarray(references)).ravel().tolist()
-        known: dict[int, str] = {}
+        name_of: dict[int, str] = {}
         for name, v in self._description.variables.items():
             if v.type in kinds:
-                known.setdefault(v.value_reference, name)
+                name_of.setdefault(v.value_reference, name)
         for reference in wanted:
-            if reference not in known:
+            if reference not in name_of:
                 raise FMUException(f"the model has no variable of type {' or '.join(kinds)} with the value reference {reference}")
-        return [known[reference] for reference in wanted]
+        return [name_of[reference] for reference in wanted]
 
 
 def _camel(name: str) -> str:

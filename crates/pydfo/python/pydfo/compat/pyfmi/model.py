@@ -253,14 +253,14 @@ class FMUModelBase(DescribedModel):
         The instance is in continuous-time mode afterwards. Matrices that are not requested are False. With
         `use_structure_info`, the matrices are sparse matrices of SciPy."""
         linear = self._linear()
-        asked = ((A, linear.A), (B, linear.B), (C, linear.C), (D, linear.D))
+        matrices = ((A, linear.A), (B, linear.B), (C, linear.C), (D, linear.D))
         if not use_structure_info:
-            return tuple(matrix if is_asked else False for is_asked, matrix in asked)  # type: ignore[return-value]
+            return tuple(matrix if is_included else False for is_included, matrix in matrices)  # type: ignore[return-value]
         try:
             csc_matrix = importlib.import_module("scipy.sparse").csc_matrix
         except ImportError as e:
             raise ImportError("sparse matrices require SciPy; install it with pip install scipy, or set use_structure_info=False") from e
-        return tuple(csc_matrix(matrix) if is_asked else False for is_asked, matrix in asked)  # type: ignore[return-value]
+        return tuple(csc_matrix(matrix) if is_included else False for is_included, matrix in matrices)  # type: ignore[return-value]
 
     # --- simulations --------------------------------------------------------------------------------------------------
 
@@ -293,21 +293,21 @@ class FMUModelBase(DescribedModel):
         NotProvided
             An option is not provided by pydfo.
         """
-        asked = self.simulate_options()
-        asked.update({} if isinstance(options, str) else options)
+        requested = self.simulate_options()
+        requested.update({} if isinstance(options, str) else options)
         start = self.get_default_experiment_start_time() if start_time == "Default" else float(start_time)
         stop = self.get_default_experiment_stop_time() if final_time == "Default" else float(final_time)
-        chosen = _options.arguments(asked, self._model.kind, self._description.default_experiment.tolerance)
+        chosen = _options.arguments(requested, self._model.kind, self._description.default_experiment.tolerance)
         given = None if isinstance(input, tuple) and not input else input
         native = self._model.simulate(start, stop, inputs=given, **chosen)
         self._time = native.end_time
-        if not asked["return_result"] or asked["result_handling"] is None:
+        if not requested["return_result"] or requested["result_handling"] is None:
             return None
         path = None
-        if asked["result_handling"] == "csv":
-            path = asked["result_file_name"] or f"{self.get_identifier()}_result.csv"
+        if requested["result_handling"] == "csv":
+            path = requested["result_file_name"] or f"{self.get_identifier()}_result.csv"
             native.to_csv(path)
-        return Result(self, asked, native, path)
+        return Result(self, requested, native, path)
 
     append_log_message = refused("FMUModel.append_log_message", _LOG)
     cancel_step = refused("FMUModel.cancel_step", "steps are blocking")

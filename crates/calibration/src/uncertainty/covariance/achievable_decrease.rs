@@ -45,10 +45,10 @@ impl At<'_> {
     /// Returns the relative decrease of the cost by the step to the minimum of the linear model. It is first
     /// predicted and, if it exceeds the noise, simulated. A decrease that no simulation confirms is zero. If
     /// the budget skips the shorter steps, the decrease is zero too.
-    pub(crate) fn left_to_gain(
+    pub(crate) fn achievable_decrease(
         &self,
         cost: &dyn Fn(&[f64]) -> f64,
-        known_cost: f64,
+        cost_of_fit: f64,
         simulations: &mut Simulations<'_>,
     ) -> Result<Gain, CalibrationError> {
         let along = along(&self.factors.base, self.residuals, &simulations.context)?;
@@ -70,7 +70,7 @@ impl At<'_> {
             let Some(mut found) = found else { return Ok(Gain::default()) };
             let Ok(residuals) = found.swap_remove(0) else { continue };
             is_at_failures = false;
-            let part = (known_cost - cost(&residuals)) / known_cost.abs().max(f64::MIN_POSITIVE);
+            let part = (cost_of_fit - cost(&residuals)) / cost_of_fit.abs().max(f64::MIN_POSITIVE);
             if part > LEAST_GAIN {
                 return Ok(Gain { part, is_at_failures });
             }

@@ -36,16 +36,17 @@ pub(super) fn become_worker(
     Ok(Assigned { start, channel: socket.into(), page, folder, has_loaded })
 }
 
-/// Applies the surroundings to this process, a worker whose own folder is `own`. Temporary files go to `own`.
-/// `own` becomes the working folder if the other one cannot be entered. No other thread may be running.
-fn enter(surroundings: &Surroundings, own: &Path) -> io::Result<()> {
+/// Applies the surroundings to this process, a worker whose folder is `worker_folder`. Temporary files go to
+/// `worker_folder`. `worker_folder` becomes the working folder if the other one cannot be entered. No other
+/// thread may be running.
+fn enter(surroundings: &Surroundings, worker_folder: &Path) -> io::Result<()> {
     if surroundings.folder.as_ref().is_none_or(|folder| std::env::set_current_dir(folder).is_err()) {
-        std::env::set_current_dir(own)?;
+        std::env::set_current_dir(worker_folder)?;
     }
     // Overwritten in place, because child processes of the worker are identified by this folder in
     // `/proc/<pid>/environ`.
     for name in [FOLDER, TEMPORARY] {
-        overwrite_variable(name, own.as_os_str().as_bytes())?;
+        overwrite_variable(name, worker_folder.as_os_str().as_bytes())?;
     }
     replace_environment(&surroundings.variables, &[FOLDER, TEMPORARY]);
     Ok(())

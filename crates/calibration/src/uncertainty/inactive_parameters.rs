@@ -41,7 +41,7 @@ impl BoundSide {
 
 /// Parameters of a fit that ended at a bound or did not change the cost.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct StuckParameters {
+pub(crate) struct InactiveParameters {
     /// Indices of parameters that ended at a bound, with the bound.
     pub(crate) at_bound: Vec<(usize, BoundSide)>,
     /// Indices of parameters that did not change the cost.
@@ -101,22 +101,22 @@ impl Calibration {
     ///   cost.
     ///
     /// The evaluation limits of the search do not include these simulations.
-    pub(crate) fn stuck_parameters(
+    pub(crate) fn inactive_parameters(
         &self,
         run: &EndedRun<'_>,
         budget: &mut Budget,
         context: &RunContext<'_>,
         stats: &mut Stats,
-    ) -> StuckParameters {
+    ) -> InactiveParameters {
         let EndedRun { start, held, report, kind, tolerances, has_errors } = *run;
         let mut candidates = self.near_bound(report, tolerances);
         candidates.retain(|c| !held.contains(&c.index));
         let mut suspects = self.suspects(start, report, kind);
         suspects.retain(|s| !held.contains(&s.index) && (s.is_seen || !has_errors));
-        let found = StuckParameters {
+        let found = InactiveParameters {
             at_bound: candidates.iter().filter(|c| c.is_likely).map(|c| (c.index, c.side)).collect(),
             without_effect: suspects.iter().filter(|s| s.is_seen).map(|s| s.index).collect(),
-            ..StuckParameters::default()
+            ..InactiveParameters::default()
         };
         if !report.termination.cause().allows_evaluations() {
             return found;
@@ -168,10 +168,10 @@ impl Calibration {
             }
         }
         if context.is_over() {
-            return StuckParameters { n_checks, ..found };
+            return InactiveParameters { n_checks, ..found };
         }
         let skipped = budget.skipped().to_vec();
-        StuckParameters { at_bound, without_effect, n_checks, skipped }
+        InactiveParameters { at_bound, without_effect, n_checks, skipped }
     }
 
     /// Returns the parameters that ended near a bound.
