@@ -335,7 +335,7 @@ fn prefix(name: &str) -> String {
     format!(".{}{WRITING}", &name[..end])
 }
 
-/// Removes temporary files of this file that killed processes have left behind.
+/// Removes temporary files of this file that killed processes have left.
 pub fn remove_unfinished(path: &Path) {
     let target = followed(path);
     let prefix =

@@ -91,9 +91,9 @@ fn overhead() {
         })
         .collect();
     let of = |value: &dyn Fn(&[f64; 3]) -> f64| 1e6 * median(rounds.iter().map(value).collect());
-    println!("ping-pong of {ASKED} and {ANSWER} bytes: {:.1} us", of(&|r| r[0]));
+    println!("ping-pong of {REQUEST_LENGTH} and {ANSWER} bytes: {:.1} us", of(&|r| r[0]));
     println!("evaluation in this process:        {:.1} us", of(&|r| r[1]));
-    println!("evaluation in a process of its own: {:.1} us", of(&|r| r[2]));
+    println!("evaluation in a separate process: {:.1} us", of(&|r| r[2]));
     println!("beyond both:                       {:.1} us", of(&|r| r[2] - r[1] - r[0]));
     drop(socket);
     child.wait().unwrap();

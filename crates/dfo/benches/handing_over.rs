@@ -39,7 +39,7 @@ fn median(list: &mut [f64]) -> f64 {
 
 fn main() {
     println!(
-        "evaluation, workers: ms of a run, in units of one worker beside it (bar {BAR}), rounds, made in vain"
+        "evaluation, workers: ms of a run, in units of one worker next to it (bar {BAR}), rounds, made in vain"
     );
     for (micros, evaluations, pairs) in [
         (1, 300, 201),

@@ -285,7 +285,7 @@ pub enum Error {
     #[error("tell: no batch is waiting for an answer; call ask first")]
     TellWithoutAsk,
     /// `tell` was called with more outcomes than the batch has points.
-    #[error("tell: got {told} outcomes for a batch of {asked} points")]
+    #[error("tell: got {received} outcomes for a batch of {requested} points")]
     TooManyOutcomes {
         /// Points in the batch.
         requested: usize,

@@ -67,7 +67,7 @@ fn is_alone(test: &str) -> bool {
     let reported = String::from_utf8_lossy(&output.stdout);
     let complaints = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success() && reported.contains("1 passed"), "{reported}{complaints}");
-    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0, "something was left behind");
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0, "files were left");
     false
 }
 

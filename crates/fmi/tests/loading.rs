@@ -44,7 +44,7 @@ fn loader_messages_are_passed_on_verbatim() {
 #[test]
 fn lazy_loading_tolerates_missing_unused_functions() {
     let folder = evil(&["UNDEFINED_SYMBOL"]);
-    // The failed attempt leaves nothing behind.
+    // The failed attempt leaves no files.
     end(&folder.open(), 1.0).unwrap_err();
     let fmu = open(&folder, LoaderOptions { lazy: true, ..LoaderOptions::default() });
     assert!((end(&fmu, 2.0).unwrap() - (-2f64).exp()).abs() < 1e-7);

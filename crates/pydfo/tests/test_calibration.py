@@ -193,7 +193,7 @@ def test_failed_simulations_are_counted(dahlquist):
 
 
 @pytest.mark.parametrize(
-    ("changes", "error", "said"),
+    ("changes", "error", "expected"),
     [
         ({"parameters": []}, ValueError, "parameters is empty"),
         ({"parameters": [K, K]}, ValueError, "'k': is given twice"),
@@ -280,7 +280,7 @@ def test_bad_csv_files_are_rejected_with_position(dahlquist, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "error", "said"),
+    ("arguments", "error", "expected"),
     [
         ((("k", np.nan), {}), ValueError, "'k': start NaN"),
         ((("k", 0.5, 2.0, 1.0), {}), ValueError, "lower bound 2 is above upper bound 1"),
@@ -310,7 +310,7 @@ def test_parameters_have_a_repr():
 
 
 @pytest.mark.parametrize(
-    ("changes", "error", "said"),
+    ("changes", "error", "expected"),
     [
         ({"options": {"scale": "log"}}, ValueError, "set scale in each Parameter"),
         ({"options": {"pop": 3}}, ValueError, "least-squares has no option 'pop'"),

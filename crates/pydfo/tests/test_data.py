@@ -361,7 +361,7 @@ def test_factor_scales_an_output_and_an_input():
 
 
 @pytest.mark.parametrize(
-    ("data", "own", "message"),
+    ("data", "options", "message"),
     [
         ({"t": TIME, "x": X}, {}, r"column 'time' not found; available: 't', 'x'\. Specify the column of the times"),
         ({"time": TIME, "X": X}, {}, r"column 'x' not found; available: 'time', 'X'. Did you mean 'X'\?"),
@@ -395,7 +395,7 @@ def test_arrays_without_names_are_rejected():
 
 
 def test_unconverted_units_are_reported():
-    with pytest.warns(CalibrationWarning, match=r"'x \[mm\]' is used in the unit of 'x' without conversion: the model states no unit"):
+    with pytest.warns(CalibrationWarning, match=r"'x \[mm\]' is used in the unit of 'x' without conversion: the model declares no unit"):
         Calibration(example_fmu("dahlquist"), {"time": TIME, "x [mm]": X}, ["x"], [Parameter("k", 1.0, 0.1, 10.0)])
 
 
@@ -514,7 +514,7 @@ def tank(data, **options):
 
 
 @pytest.mark.parametrize(
-    ("change", "own", "said"),
+    ("change", "options", "expected"),
     [
         (lambda d: d | {"qt.x1": 1e3 * d["qt.x1"]}, {}, r"'qt.x1'.* differ by a factor of about .* in another unit"),
         (lambda d: d | {"time": 1e3 * d["time"]}, {}, "The times are probably in ms"),

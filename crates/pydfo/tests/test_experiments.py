@@ -181,7 +181,7 @@ def test_failures_name_the_experiment():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "kind", "said"),
+    ("arguments", "kind", "expected"),
     [
         (([Experiment(decay(1.0), {"x": "y"})], ["x"], [SHARED]), TypeError, "outputs: with experiments.* in each Experiment"),
         (([Experiment(decay(1.0), {"x": "y"}, name="a")] * 2, [SHARED]), ValueError, "two experiments are named 'a'"),

@@ -139,7 +139,7 @@ def test_system_exit_point_is_independent_of_workers():
 
 
 @pytest.mark.parametrize(
-    ("value", "said"),
+    ("value", "expected"),
     [
         (None, "not None. Check for a missing return statement"),
         ("1.5", r"not '1.5' \(str\)"),
@@ -183,7 +183,7 @@ def test_budget_without_any_cost_is_an_error():
 
 
 @pytest.mark.parametrize(
-    ("changes", "error", "said"),
+    ("changes", "error", "expected"),
     [
         ({"lb": [1.0, 0.0], "ub": [0.5, 1.0]}, ValueError, r"x\[0\]: the lower bound 1 is above the upper bound 0.5"),
         ({"lb": [np.nan, 0.0]}, ValueError, r"lower bound of x\[0\] must not be NaN"),

@@ -60,7 +60,7 @@ def test_simulation_uses_given_units(tmp_path: Path) -> None:
     )
     result = model.simulate(final_time=1, ncp=2, start_values=path, units={"x": "cm"})
     assert result["x"][0] == pytest.approx(228.6, rel=1e-14) and result.units["x"] == "cm"
-    with pytest.raises(ValueError, match="the model states no unit for 'x'"):
+    with pytest.raises(ValueError, match="the model declares no unit for 'x'"):
         model.simulate(final_time=1, start_values=path)
     for units, error in [({"z": "m"}, KeyError), ({"x": 1}, TypeError), ("cm", TypeError)]:
         with pytest.raises(error):

@@ -171,7 +171,7 @@ def test_no_evaluation_starts_0_2_s_after_ctrl_c():
     assert max(starts) < pressed[0] + 0.2
 
 
-@pytest.mark.skipif(os.name != "posix", reason="sends a signal to a process of its own")
+@pytest.mark.skipif(os.name != "posix", reason="sends a signal to a separate process")
 def test_ctrl_c_ends_a_script_with_the_usual_status():
     script = textwrap.dedent(
         """

@@ -197,10 +197,10 @@ def test_embedding_program_finds_interpreter_or_warns(tmp_path):
         "    sys._base_executable = sys.exec_prefix = sys.base_exec_prefix = '/nonexistent'\n"
         "import numpy as np, pydfo\n"
         "t = np.linspace(0, 1, 11)\n"
-        "with warnings.catch_warnings(record=True) as said:\n"
+        "with warnings.catch_warnings(record=True) as caught:\n"
         "    warnings.simplefilter('always')\n"
         "    c = pydfo.Calibration(pydfo.example_fmu('dahlquist'), {'time': t, 'x': np.exp(-t)}, ['x'], [pydfo.Parameter('k', 2, 0.1, 5)])\n"
-        "print(round(c.fit().x[0], 6), *(str(w.message) for w in said))\n"
+        "print(round(c.fit().x[0], 6), *(str(w.message) for w in caught))\n"
     )
     for case, expected in (("one", "1.0\n"), ("none", "1.0 the FMU runs in this process")):
         done = subprocess.run([sys.executable, script, case], capture_output=True, text=True, check=True)

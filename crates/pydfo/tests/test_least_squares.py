@@ -186,7 +186,7 @@ def test_changed_number_of_residuals_is_an_error(how):
 
 
 @pytest.mark.parametrize(
-    ("returned", "said"),
+    ("returned", "expected"),
     [
         (1.0, r"not one number \(1.0\): use minimize for a cost"),
         (np.float64(1), "not one number"),
@@ -204,7 +204,7 @@ def test_non_vector_residuals_are_an_error(returned, expected):
 
 
 @pytest.mark.parametrize(
-    ("how", "error", "said"),
+    ("how", "error", "expected"),
     [
         ({"loss": "arctan"}, ValueError, "loss = 'arctan' is invalid; expected one of: 'linear'"),
         ({"loss": None}, TypeError, "loss must be a string"),

@@ -332,7 +332,7 @@ def test_given_first_population_is_evaluated_first_with_any_workers(method):
 
 
 @pytest.mark.parametrize(
-    ("changes", "error", "said"),
+    ("changes", "error", "expected"),
     [
         ({"fun": 3}, TypeError, "fun must be callable"),
         ({"method": "nelder_meat"}, ValueError, "did you mean 'nelder-mead'"),

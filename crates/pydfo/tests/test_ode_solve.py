@@ -533,7 +533,7 @@ def test_samples_without_memory_are_rejected() -> None:
 @pytest.mark.parametrize("method", ["auto", "tsit5", "dop853", "radau5", "bdf"])
 @pytest.mark.parametrize("direction", [-1, None])
 def test_balls_stay_above_the_floor_or_raise_an_error(method, direction):
-    """Balls after their Zeno limit with typical handlers: an error that names the event, at any tolerance."""
+    """Balls after their Zeno limit with typical handlers: an error with the event, at any tolerance."""
     for floor, height, gravity in [(0.0, 1.0, 9.81), (0.1, 0.01, 1.62), (1000.0, 1.0, 9.81)]:
         for factor in [0.0, 0.4, 0.5, 0.7, 0.8, 0.95]:
             for rtol in [1e-3, 1e-6, 1e-9]:

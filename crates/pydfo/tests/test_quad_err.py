@@ -50,7 +50,7 @@ def test_any_array_layout_and_type_is_accepted():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "error", "said"),
+    ("arguments", "error", "expected"),
     [
         (([0.0], [0.0], [0.0], [[0.0], [0.0]]), ValueError, "1 measured quantities, but 2"),
         (([0.0, 1.0], [0.0], T, Y), ValueError, "measured quantity 0 has 1 values, but there are 2 times"),

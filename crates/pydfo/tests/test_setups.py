@@ -323,7 +323,7 @@ def bowl(x):
 
 
 @pytest.mark.parametrize(
-    ("call", "said"),
+    ("call", "expected"),
     [
         (lambda: pydfo.minimize(bowl, [0.0], maxiter=3), r"^minimize\(\) has no argument 'maxiter'; use the argument max_iterations"),
         (lambda: pydfo.minimize(bowl, [0.0], xatol=3), r"'xatol'; use the option x_tol: options={'x_tol': \.\.\.}"),
@@ -360,7 +360,7 @@ def test_foreign_keywords_are_explained(call, expected):
 
 
 @pytest.mark.parametrize(
-    ("call", "said"),
+    ("call", "expected"),
     [
         (lambda c: c().fit(options={"maxiter": 3}), "unknown option 'maxiter'; use the argument max_iterations"),
         (lambda c: pydfo.fmin(bowl, [0.0], options={"maxiter": 3}), "unknown option 'maxiter'; use the argument max_iters"),
@@ -386,7 +386,7 @@ def test_contradictory_arguments_are_rejected(call, expected):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected"),
     [
         ("time x\n0 1\n1 2\n", "only one column; separate columns with commas, semicolons or tabs"),
         ("time,x\n0,0,1,5\n0,5,1,2\n", "line 2 has 4 cells, but the header has 2. Separate columns with semicolons"),

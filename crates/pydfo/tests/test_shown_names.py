@@ -29,7 +29,7 @@ def data(**columns):
 
 
 @pytest.mark.parametrize(
-    ("table", "own"),
+    ("table", "options"),
     [
         (data(), {"outputs": {"x": "y"}}),
         ({"time": TIME, ODD: TIME[:3]}, {"outputs": {"x": ODD}}),

@@ -39,7 +39,7 @@ impl ExperimentSubject<'_> {
         let is_other = |unit: &String| {
             UnitConversion::to_variable(unit, variable, self.description).is_ok_and(|c| !c.is_identity())
         };
-        let with_prefix = ["m", "k"].map(|prefix| format!("{prefix}{own}"));
+        let with_prefix = ["m", "k"].map(|prefix| format!("{prefix}{unit_of_variable}"));
         EXAMPLES.iter().map(|unit| (*unit).to_owned()).chain(with_prefix).find(is_other)
     }
 }

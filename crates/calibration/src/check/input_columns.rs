@@ -17,7 +17,7 @@ const LONG_GAP: f64 = 3.0;
 /// permitted.
 const SPARSE: f64 = 0.5;
 
-/// Values beyond the range of the model by less than this part of their own range are sensor noise.
+/// Values beyond the range of the model by less than this part of their range are sensor noise.
 const NOISE: f64 = 0.05;
 
 /// Maximum number of levels of a switching input. The note is true for any number; it is of interest for few.

@@ -174,7 +174,7 @@ pub(super) fn ranges(parameters: &[Parameter], description: &ModelDescription) -
                 severity,
                 FindingId::OutsideModelRange,
                 subject.clone(),
-                format!("{text}, but the model states a range {range}. Simulations beyond it may fail or be meaningless"),
+                format!("{text}, but the model declares a range {range}. Simulations beyond it may fail or be meaningless"),
                 "Set bounds inside the range",
             ));
         }

@@ -325,7 +325,7 @@ mod tests {
         assert_eq!(read("furlong", &furlong, Some("furlong")), Ok(3.0));
         assert_eq!(read("thing", &unit("thing", "kg=\"1\""), None), Ok(3.0));
         for (name, defined, of_variable, expected) in [
-            ("furlong", &furlong, None, "the model states no unit for 'k'"),
+            ("furlong", &furlong, None, "the model declares no unit for 'k'"),
             ("furlong", &furlong, Some("s"), "'furlong' (m) cannot be converted to 's' (s)"),
             ("furlong", &String::new(), Some("m"), "'furlong' is not a known unit"),
             ("a", &unit("a", "m=\"x\""), Some("m"), "unit 'a': the exponent m = 'x' is not an integer"),

@@ -58,7 +58,7 @@ pub enum UnitError {
         hint: String,
     },
     /// The model declares no unit for the variable.
-    #[error("the model states no unit for '{variable}'")]
+    #[error("the model declares no unit for '{variable}'")]
     NotStated {
         /// Name of the variable.
         variable: String,

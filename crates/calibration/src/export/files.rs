@@ -15,7 +15,7 @@ pub(super) fn check_belongs(fit: &Fit, calibration: &Calibration) -> Result<(), 
     if names != fit.names {
         let [of_calibration, other] = lists;
         return Err(CalibrationError::Setup(format!(
-            "the fit has the parameters {other}, but the calibration has {own}"
+            "the fit has the parameters {other}, but the calibration has {of_calibration}"
         )));
     }
     Ok(())

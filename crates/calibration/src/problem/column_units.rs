@@ -204,7 +204,7 @@ pub fn recorded_inputs(
     Ok((data, pairs, warnings))
 }
 
-/// Returns the inputs and tunable parameters that columns are named after, with these columns.
+/// Returns the inputs and tunable parameters whose names columns have, with these columns.
 fn input_columns(data: &Data, description: &ModelDescription) -> Result<Vec<InputColumn>, String> {
     let can_drive = |v: &Variable| v.causality == Causality::Input || v.is_tunable_parameter();
     let is_input = |name: &&str| declared(description, name).is_some_and(can_drive);

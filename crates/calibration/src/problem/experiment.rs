@@ -154,7 +154,8 @@ impl Weight {
     /// column with this name.
     ///
     /// # Errors
-    /// Returns an error that names the measured `column` if the text contains `abs(` but is no error model.
+    /// Returns an error with the name of the measured `column` if the text contains `abs(` but is no error
+    /// model.
     pub fn of_sigma(text: &str, column: &str) -> Result<Self, CalibrationError> {
         if !Self::is_sigma(text) {
             return Ok(Sigma::Column(text.to_owned()).into());
@@ -249,7 +250,7 @@ impl OutputScale {
         scales.into_iter().find(|scale| scale.name().eq_ignore_ascii_case(name)).ok_or_else(|| {
             let listed = scales.map(|scale| format!("'{}'", scale.name())).join(", ");
             CalibrationError::Setup(format!(
-                "weights = '{name}' is unknown; expected {known}, or numbers for the outputs"
+                "weights = '{name}' is unknown; expected {listed}, or numbers for the outputs"
             ))
         })
     }

@@ -10,7 +10,7 @@ impl Parameter {
     /// Checks that the numbers are valid and consistent.
     ///
     /// # Errors
-    /// Returns an error that names the parameter and the inconsistent numbers.
+    /// Returns an error with the name of the parameter and the inconsistent numbers.
     pub fn check(&self) -> Result<(), CalibrationError> {
         let name = &self.name;
         let bad = |message: String| Err(CalibrationError::Parameter { name: name.clone(), message });

@@ -135,7 +135,7 @@ fn check_reports_mistakes() {
         ),
         (
             scaled("x1", 1.0, 0.0).parameter(Parameter::new("qt.A1", 5e-4).bounds(-1.0, 1.0)),
-            "parameter 'qt.A1': lower bound -1, but the model states a range",
+            "parameter 'qt.A1': lower bound -1, but the model declares a range",
         ),
     ] {
         // Setups that cannot be evaluated are rejected with the message of the finding.

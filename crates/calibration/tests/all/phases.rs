@@ -225,7 +225,7 @@ fn extra_simulations_stay_within_their_share_of_the_search() {
         assert_eq!(search.0, fit.report.n_evaluations as u64, "{model} from {start}: {fit}");
         assert!(errors.0 == 2 && fit.uncertainty.is_some(), "{model} from {start}: {errors:?}");
         let most = (0.3 * search.1 as f64).min(4.0 * search.1 as f64 / search.0 as f64);
-        assert!(others.1 as f64 <= most, "{model} from {start}: {others:?} beside {search:?}");
+        assert!(others.1 as f64 <= most, "{model} from {start}: {others:?} next to {search:?}");
         let is_skipped = fit.skipped.iter().any(|name| name == "simulation of higher accuracy");
         assert_eq!(is_skipped, fit.uncertainty.as_ref().unwrap().accurate_cost.is_none());
         // In addition to the fresh process, 1.6 simulations do not fit into a quarter of 5 evaluations but

@@ -208,7 +208,7 @@ fn residual_layout_describes_each_residual() {
     }
 }
 
-/// The message names the variable of the NaN state, as declared in the model description.
+/// The message contains the variable of the NaN state, as declared in the model description.
 #[test]
 fn nan_state_is_reported_with_its_time() {
     let reported = |value: &str| {

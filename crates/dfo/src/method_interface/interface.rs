@@ -482,7 +482,7 @@ pub trait Method {
     /// ([`Batch::all_certain`]), in its order, including known ones. Other points follow, the most probable
     /// first. Adds at most `wanted` points that are not in `answers_so_far`.
     ///
-    /// The outcomes are not told to the method. They are available when the path requests the points. Must
+    /// The outcomes are not passed to the method. They are available when the path requests the points. Must
     /// not change the behaviour of the method.
     fn speculate(&mut self, wanted: usize, answers_so_far: &dyn AnswersSoFar, batch: &mut Batch) {
         let _ = (wanted, answers_so_far, batch);

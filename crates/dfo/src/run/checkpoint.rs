@@ -5,7 +5,7 @@
 //! entry is the version of the code that wrote the file. Each write replaces the whole file: a temporary file
 //! is written and then renamed, so a kill leaves the previous state. Writing takes at most a tenth of the
 //! time of a run. The identity of a run (the fingerprint) is stored as text. A file of another run is left
-//! unchanged, and the error names the difference.
+//! unchanged, and the error reports the difference.
 //!
 //! If the end of a run cuts a batch short, the stored state of the method does not include the batch. The
 //! known outcomes are stored separately and are used when the resumed run requests them.

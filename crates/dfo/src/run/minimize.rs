@@ -489,7 +489,7 @@ impl<'a, M> Minimize<'a, M> {
     }
 
     /// Sets the part of the time limit ([`max_time`](Self::max_time)) already used before the run begins. If
-    /// the run ends at the limit, its message names the whole limit.
+    /// the run ends at the limit, its message reports the whole limit.
     pub fn spent(mut self, time: Duration) -> Self {
         self.driver.spent = time;
         self

@@ -131,7 +131,7 @@ fn time_limit_returns_best_point() {
         assert_eq!(report.trace.best(), Some((&report.x[..], report.fun)));
         assert!(report.message.contains("0.1 s"), "{report}");
     }
-    // Time spent before the run counts, and the message names the whole limit.
+    // Time spent before the run counts, and the message reports the whole limit.
     let hour = Duration::from_secs(3600);
     let short = hour - Duration::from_millis(100);
     let run = || minimize(dfo::ByRef(slow)).start(&[-1.2, 1.0]).max_time(hour);

@@ -285,8 +285,8 @@ fn abort_ends_the_run_and_keeps_earlier_evaluations() {
     assert_eq!(report.trace.best(), Some((&report.x[..], report.fun)));
 }
 
-/// The pools of a run belong to rayon, so an objective that uses rayon runs its tasks there or in a pool of its
-/// own.
+/// The pools of a run belong to rayon, so an objective that uses rayon runs its tasks there or in a separate
+/// pool.
 #[test]
 fn objective_may_use_rayon() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();

@@ -131,7 +131,7 @@ fn new_lock(path: &Path) -> Option<File> {
 /// Age after which a folder without a lock counts as left behind by a process killed while creating it.
 const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 
-/// Removes the folders in `base` with a lock file of ours that is not locked, because their processes have
+/// Removes the folders in `base` with one of our lock files that is not locked, because their processes have
 /// ended. Folders of other users, recent folders that do not have a lock file yet, and folders with another
 /// layout are not changed.
 fn sweep(base: &Path) {

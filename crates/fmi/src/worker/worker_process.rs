@@ -22,7 +22,7 @@ use std::time::{Duration, Instant};
 /// Time between two checks for cancellation and limits while an answer is awaited.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// Time that a worker has to answer after its simulation has reached the time limit.
+/// Time allowed for the answer after the simulation of a worker has reached the time limit.
 const GRACE: Duration = Duration::from_millis(250);
 
 /// Time that a worker has to answer after cancellation. It is short because a user who has pressed Ctrl-C

@@ -61,7 +61,7 @@ fn parse_lists_quirks_of_tolerated_descriptions() {
             two(&state(&derivative), "<Derivatives><Unknown index=\"1\"/></Derivatives>"),
             &[Structure],
         ),
-        ("a derivative that names no state", two(&state(&real("der(x)", 2, "")), list), &[Structure]),
+        ("a derivative without its state", two(&state(&real("der(x)", 2, "")), list), &[Structure]),
         (
             "two derivatives of one state",
             two(

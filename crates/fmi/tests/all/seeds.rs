@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 fn kept(target: &str) -> Vec<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/seeds").join(target);
     let mut files: Vec<PathBuf> = fs::read_dir(&folder)
-        .expect("the seeds stand beside the fuzz targets")
+        .expect("the seeds are next to the fuzz targets")
         .map(|entry| entry.unwrap().path())
         .collect();
     files.sort();

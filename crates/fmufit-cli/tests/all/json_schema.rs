@@ -27,7 +27,7 @@ impl Schema {
     fn check(&self, schema: &Value, document: &Value, place: &str, errors: &mut Vec<String>) {
         let schema = match schema {
             Value::Bool(true) => return,
-            Value::Bool(false) => return errors.push(format!("{place}: nothing may stand here")),
+            Value::Bool(false) => return errors.push(format!("{place}: no value is allowed here")),
             Value::Object(schema) => schema,
             other => panic!("no schema: {other}"),
         };

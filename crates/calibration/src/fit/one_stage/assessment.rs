@@ -354,7 +354,7 @@ impl Calibration {
                 Some(uncertainty)
             }
             Err(error) => {
-                log::info!("the uncertainty of the fit could not be found: {error}");
+                log::info!("the uncertainty of the fit could not be computed: {error}");
                 None
             }
         }

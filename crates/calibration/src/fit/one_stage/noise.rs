@@ -1,12 +1,13 @@
 //! Noise of the measurements, either stated by their weights or estimated with the parameters.
 //!
-//! A prior is measured in units of its standard deviation, so the measurements must be measured in units of
-//! theirs. If their weights do not define these units, the fit alternates with estimates of the noise.
+//! A prior is measured in units of its standard deviation, so the measurements must be in units of their
+//! standard deviations. If their weights do not define these units, the fit alternates with estimates of the
+//! noise.
 
 use super::modelled_noise::{FEWEST, ModelledNoise, SigmaSeries, rows_of, weight};
 use crate::error::CalibrationError;
-use crate::findings::finding::{Finding, Severity};
 use crate::findings::display_text::digits;
+use crate::findings::finding::{Finding, Severity};
 use crate::findings::identifier::FindingId;
 use crate::loaded::calibration::Calibration;
 use crate::problem::definition::Problem;

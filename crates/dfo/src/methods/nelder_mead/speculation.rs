@@ -104,8 +104,8 @@ pub(super) struct Speculation {
 }
 
 impl Speculation {
-    /// Finds up to `wanted` points that are not `known`, after `trial`, the point that the path needs now.
-    /// Calls `found` for each point; the flag is true for the expansion of this iteration.
+    /// Finds up to `wanted` points whose costs are not available, after `trial`, the point that the path
+    /// needs now. Calls `found` for each point; the flag is true for the expansion of this iteration.
     pub(super) fn look(
         &mut self,
         problem: &Problem<'_>,

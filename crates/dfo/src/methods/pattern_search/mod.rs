@@ -39,8 +39,8 @@
 //! evaluated, then the points of the next poll ([`Lookahead`]). **Cutoff**: the cost of the best point.
 //! Discrete gradients have no cutoff.
 //!
-//! **Tests.** The x test measures the frame of a poll that failed. The f test measures the decrease over the
-//! last four frames.
+//! **Tests.** The x test measures the frame of a poll that failed. The f test measures the decrease during
+//! the last four frames.
 
 mod descent;
 mod discrete_gradients;

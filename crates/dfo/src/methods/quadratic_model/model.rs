@@ -1,5 +1,5 @@
-//! Quadratic interpolation with fewer points than coefficients. Of all models through the points, the result
-//! changes least from the previous model.
+//! Quadratic interpolation with fewer points than coefficients. Among all models through the points, the
+//! result is the closest to the previous model.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 use serde::{Deserialize, Serialize};

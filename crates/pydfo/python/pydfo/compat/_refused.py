@@ -12,7 +12,7 @@ class NotProvided(NotImplementedError):
 
 
 def refuse(what: str, reason: str) -> NoReturn:
-    """Raises an error that states that `what` is not provided, and why."""
+    """Raises an error that `what` is not provided, with the reason."""
     raise NotProvided(f"{what} is not provided: {reason}")
 
 
