@@ -31,7 +31,7 @@ def test_resumed_run_equals_uninterrupted_run(method, how, tmp_path):
     run = {**RUN, "method": method, "options": options_of_method}
     whole = timeless(minimize(rosenbrock, **run, max_evaluations=260))
     path = tmp_path / "run"
-    calls, limit = 0, 260
+    calls, limit, n_repeated = 0, 260, 0
 
     class Exit(BaseException):
         pass
@@ -53,6 +53,8 @@ def test_resumed_run_equals_uninterrupted_run(method, how, tmp_path):
         limits = {"max_evaluations": min(limit, calls + left) if how == "budget" else limit}
         options = {**run["options"], "checkpoint_interval": 0.0}
         workers = chance.choice([1, map, 2]) if how in ("budget", "stop") else 1
+        # Threads may be evaluating when the run stops. These points are evaluated again.
+        n_repeated += workers if workers == 2 and how == "stop" else 0
         if method in ("nelder-mead", "barrier", "pattern-search"):
             options["batch"] = "serial"
 
@@ -72,7 +74,7 @@ def test_resumed_run_equals_uninterrupted_run(method, how, tmp_path):
             continue
         break
     assert timeless(res) == whole
-    assert calls == res.nfev
+    assert res.nfev <= calls <= res.nfev + n_repeated
 
 
 def test_finished_run_returns_its_stored_result(tmp_path):
