@@ -110,6 +110,56 @@ def test_lost_points_are_evaluated_again(method):
     assert result.n_lost > 10 and result.nfail == 0
 
 
+class Swallowing(concurrent.futures.ThreadPoolExecutor):
+    """Never answers the first submission of every seventh point, like a machine that hangs."""
+
+    def __init__(self):
+        super().__init__(2)
+        self.seen = set()
+        self.n_swallowed = 0
+
+    def submit(self, fn, /, *args, **kwargs):
+        key = next(argument.tobytes() for argument in args if isinstance(argument, np.ndarray))
+        if key not in self.seen:
+            self.seen.add(key)
+            if len(self.seen) > 6 and len(self.seen) % 7 == 0:
+                self.n_swallowed += 1
+                return concurrent.futures.Future()
+        return super().submit(fn, *args, **kwargs)
+
+
+@pytest.mark.parametrize("method", ["de", "nelder-mead", "quadratic-model"])
+def test_overdue_points_are_submitted_again(method):
+    asked = {"bounds": [(-2, 2)] * 2, "method": method, "rng": 1, "max_evaluations": 60}
+    with Swallowing() as executor:
+        result = pydfo.minimize(slow_cost, [-1.2, 1.0], workers=pydfo.Resubmit(executor, 3), **asked)
+    same(result, pydfo.minimize(slow_cost, [-1.2, 1.0], **asked))
+    assert result.n_lost > 0 and executor.n_swallowed > 0 and result.nfail == 0
+
+
+def test_overdue_simulations_of_fit_are_submitted_again():
+    with Swallowing() as executor:
+        fit = decay().fit("de", workers=pydfo.Resubmit(executor, 3.0), rng=1, max_evaluations=60)
+    alone = decay().fit("de", workers=1, rng=1, max_evaluations=60)
+    assert fit.x.tobytes() == alone.x.tobytes() and fit.nfail == 0 and executor.n_swallowed > 3
+    assert any("the executor lost" in finding.sentence for finding in fit.findings)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ((3, 2.0), TypeError, "executor must have a method submit, or be a Dask client, not 3"),
+        ((Swallowing, 2.0), TypeError, "not the class Swallowing"),
+        ((concurrent.futures.ThreadPoolExecutor(1), 1.0), ValueError, "overdue must be a finite number above 1, not 1.0"),
+        ((concurrent.futures.ThreadPoolExecutor(1), float("nan")), ValueError, "overdue must be a finite number above 1"),
+        ((concurrent.futures.ThreadPoolExecutor(1), "5"), TypeError, "overdue"),
+    ],
+)
+def test_resubmit_rejects_invalid_arguments(arguments, error, message):
+    with pytest.raises(error, match=message):
+        pydfo.Resubmit(*arguments)
+
+
 class LosingAll(concurrent.futures.ThreadPoolExecutor):
     """Loses all tasks after the first 30, like a cluster that has lost its scheduler."""
 

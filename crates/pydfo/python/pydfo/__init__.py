@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from ._model.files import build_fmu, clear_caches, example_fmu
     from ._model.model import FMUModel, load_fmu
     from ._model.trajectory import SimulationResult
+    from ._optimize.evaluate import Resubmit
     from ._optimize.fmin import fmin
     from ._optimize.least_squares import least_squares
     from ._optimize.minimize import minimize
@@ -73,6 +74,7 @@ _HOMES = {
     "_calibration.bootstrap": "Bootstrap",
     "_calibration.fit": "ChosenTolerance Fit FitNoise OutputFit",
     "_calibration.goodness": "Comparison Goodness",
+    "_optimize.evaluate": "Resubmit",
     "_optimize.fmin": "fmin",
     "_optimize.least_squares": "least_squares",
     "_optimize.minimize": "minimize",
@@ -139,6 +141,7 @@ __all__ = [
     "Progress",
     "PydfoError",
     "ResidualCheck",
+    "Resubmit",
     "Simulation",
     "SimulationError",
     "SimulationResult",

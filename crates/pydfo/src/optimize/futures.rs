@@ -177,6 +177,14 @@ impl<A: Answers> Evaluator for OnExecutor<A> {
     fn leave(&mut self) -> bool {
         true
     }
+
+    /// Number of overdue tasks that were submitted again.
+    fn n_lost(&self) -> usize {
+        let taken = Python::attach(|py| {
+            self.futures.futures.call_method0(py, "take_n_overdue")?.extract::<usize>(py)
+        });
+        taken.unwrap_or(0)
+    }
 }
 
 /// Values of a function of the user.

@@ -167,7 +167,7 @@ class Simulations(_evaluate.Futures):
 
     def _send(self, number: int, problem: Problem | None) -> None:
         key, *point = self._tasks[number]
-        self._began(number, self._executor.submit(simulate, _core.__version__, key, problem, *point))
+        self._begin_task(number, simulate, _core.__version__, key, problem, *point)
 
     def submit(self, number: int, x: Any, cutoff: float) -> None:
         """Starts the evaluation of a point."""

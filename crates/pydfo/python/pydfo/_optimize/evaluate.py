@@ -8,21 +8,24 @@ and one of these.
 
 from __future__ import annotations
 
+import bisect
 import concurrent.futures
 import inspect
 import logging
+import math
 import os
 import pickle
 import queue
 import time
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, SupportsFloat
 
 import numpy as np
 import numpy.typing as npt
 
 from .._args import options as _options
 from .._args import text as _text
+from .._args import values as _values
 
 FloatArray = npt.NDArray[np.float64]
 Batches = Callable[[FloatArray, FloatArray, Callable[[], bool]], list[Any]]
@@ -171,33 +174,50 @@ def mapped(fun: Callable[..., Any], apply: Callable[..., Iterable[Any]], takes_c
     return evaluate
 
 
+#: Number of answers after which a task may be overdue. The median of fewer is no typical time.
+MIN_ANSWERS = 5
+
+
 class Futures:
     """Sends points to an executor one by one and receives the results in any order."""
 
-    def __init__(
-        self, fun: Callable[..., Any], executor: concurrent.futures.Executor, takes_cutoff: bool = False, width: int | None = None
-    ) -> None:
+    def __init__(self, fun: Callable[..., Any], executor: Any, takes_cutoff: bool = False, width: int | None = None) -> None:
         returning, self._pieces = _in_pieces(fun, takes_cutoff)
         self._call = Timed(returning)
-        self._executor = executor
-        self._futures: dict[int, concurrent.futures.Future[Any]] = {}
+        self._overdue, self._executor = (executor.overdue, executor.executor) if isinstance(executor, Resubmit) else (math.inf, executor)
+        #: Running tasks of each point: one, or two if the first was overdue.
+        self._futures: dict[int, list[concurrent.futures.Future[Any]]] = {}
         self._given_up: set[int] = set()
-        self._ended: queue.SimpleQueue[int] = queue.SimpleQueue()
+        self._ended: queue.SimpleQueue[tuple[int, concurrent.futures.Future[Any]]] = queue.SimpleQueue()
         #: Time of the last answer or of the first submission; None before it and after a warning.
         self._silent_since: float | None = None
         self._has_answered = False
-        self.width = width or plan_width(executor)
+        #: Function that submits each point again, and the time of its submission. Kept if a task may be overdue.
+        self._submissions: dict[int, tuple[float, Callable[[], concurrent.futures.Future[Any]]]] = {}
+        #: Times from submission to answer in s, ascending.
+        self._durations: list[float] = []
+        self._n_overdue = 0
+        self.width = width or plan_width(self._executor)
 
     def submit(self, number: int, x: FloatArray, cutoff: float) -> None:
         """Starts the evaluation of a point."""
         (piece,) = self._pieces(x[np.newaxis], np.array([cutoff]))
-        self._began(number, self._executor.submit(self._call, piece))
+        self._begin_task(number, self._call, piece)
 
-    def _began(self, number: int, future: concurrent.futures.Future[Any]) -> None:
+    def _begin_task(self, number: int, function: Callable[..., Any], *arguments: Any) -> None:
+        def again() -> concurrent.futures.Future[Any]:
+            future: concurrent.futures.Future[Any] = self._executor.submit(function, *arguments)
+            return future
+
         if not self._futures:
             self._silent_since = time.monotonic()
-        self._futures[number] = future
-        future.add_done_callback(lambda _: self._ended.put(number))
+        self._began(number, again())
+        if self._overdue < math.inf:
+            self._submissions[number] = time.monotonic(), again
+
+    def _began(self, number: int, future: concurrent.futures.Future[Any]) -> None:
+        self._futures.setdefault(number, []).append(future)
+        future.add_done_callback(lambda _: self._ended.put((number, future)))
 
     def poll(self, seconds: float) -> tuple[int, float, Any, str] | None:
         """Returns a finished point: its number, its run time in s, its result and the state of the executor.
@@ -205,15 +225,30 @@ class Futures:
         The result is Ellipsis if the point was cancelled. The state is empty, "lost" (this point) or "broken".
         Returns None if no point finishes within `seconds`."""
         try:
-            number = self._ended.get(timeout=max(seconds, 0.0))
+            number, future = self._ended.get(timeout=max(seconds, 0.0))
         except queue.Empty:
+            self._submit_overdue()
             self._warn_of_silence()
             return None
-        future = self._futures.pop(number, None)
-        if future is None:
-            # A released Dask task, which may end later.
+        futures = self._futures.get(number, [])
+        if not any(future is running for running in futures):
+            # A released Dask task or an overdue task, which may end later.
             return None
         self._silent_since = time.monotonic()
+        answer = self._answer_of(number, future)
+        if answer[3] == "lost" and len(futures) > 1:
+            self._futures[number] = [running for running in futures if running is not future]
+            return None
+        del self._futures[number]
+        for other in futures:
+            if other is not future:
+                self._drop(other)
+        if (submission := self._submissions.pop(number, None)) is not None and not answer[3]:
+            bisect.insort(self._durations, time.monotonic() - submission[0])
+        return answer
+
+    def _answer_of(self, number: int, future: concurrent.futures.Future[Any]) -> tuple[int, float, Any, str]:
+        """Returns the answer of a finished task, as `poll` does."""
         if number in self._given_up and (future.cancelled() or isinstance(self._executor, DaskExecutor)):
             return number, 0.0, ..., ""
         if future.cancelled():
@@ -230,6 +265,22 @@ class Futures:
             return number, ended[0], ended[1], ""
         return number, 0.0, ended, ""
 
+    def take_n_overdue(self) -> int:
+        """Returns the number of overdue tasks submitted again since the last call."""
+        n, self._n_overdue = self._n_overdue, 0
+        return n
+
+    def _submit_overdue(self) -> None:
+        """Submits the overdue tasks again."""
+        if len(self._durations) < MIN_ANSWERS:
+            return
+        latest = time.monotonic() - self._overdue * self._durations[len(self._durations) // 2]
+        for number, (begun, again) in list(self._submissions.items()):
+            if begun < latest and number not in self._given_up:
+                del self._submissions[number]
+                self._n_overdue += 1
+                self._began(number, again())
+
     def _warn_of_silence(self) -> None:
         """Logs a warning, once, if no worker answers and this is probably not due to long evaluations."""
         if self._silent_since is None or time.monotonic() - self._silent_since < SILENCE:
@@ -245,16 +296,20 @@ class Futures:
 
     def cancel(self, number: int) -> None:
         """Abandons a point; a running evaluation continues."""
-        future = self._futures.get(number)
-        if future is not None:
+        for future in self._futures.get(number, []):
             self._given_up.add(number)
+            self._drop(future)
             if isinstance(self._executor, DaskExecutor):
-                # Dask's cancel waits for the scheduler. The scheduler drops a released task that has not started.
-                task: Any = future
-                task.release()
-                self._ended.put(number)
-            else:
-                future.cancel()
+                self._ended.put((number, future))
+
+    def _drop(self, future: concurrent.futures.Future[Any]) -> None:
+        """Cancels a task that has not started."""
+        if isinstance(self._executor, DaskExecutor):
+            # Dask's cancel waits for the scheduler. The scheduler drops a released task that has not started.
+            task: Any = future
+            task.release()
+        else:
+            future.cancel()
 
 
 class DaskExecutor:
@@ -272,10 +327,44 @@ class DaskExecutor:
         return self._client.submit(function, *arguments, **self._options)
 
 
+class Resubmit:
+    """Executor that submits a task again if it is overdue, and uses the first answer.
+
+    Pass it as `workers` in place of the executor. A task is overdue if it has taken `overdue` times as long as the
+    median of the answered tasks, from submission to answer. The rule applies after `MIN_ANSWERS` answers. Each task is
+    submitted again at most once. This decides only which process computes a point, so the result of a run is the same.
+    ``n_lost`` counts the tasks submitted again.
+
+    Parameters
+    ----------
+    executor : executor
+        An object that `workers` accepts, with a method ``submit`` or a Dask client.
+    overdue : float
+        Multiple of the median time, above 1.
+
+    Raises
+    ------
+    TypeError
+        If `executor` is not an executor.
+    ValueError
+        If `overdue` is not a finite number above 1.
+    """
+
+    def __init__(self, executor: Any, overdue: SupportsFloat) -> None:
+        if (found := executor_of(executor)) is None or isinstance(executor, Resubmit):
+            raise TypeError(f"executor must have a method submit, or be a Dask client, not {_text.show(executor)}")
+        self.executor = found
+        self.overdue = _values.number("overdue", overdue)
+        if not 1.0 < self.overdue < math.inf:
+            raise ValueError(f"overdue must be a finite number above 1, not {_text.show(overdue)}")
+
+
 def executor_of(workers: Any) -> Any:
     """Returns the executor for `workers`: itself, or one on a Dask client. Returns None if it is no executor.
 
     Raises TypeError for objects of joblib that are not executors, and suggests the object to pass instead."""
+    if isinstance(workers, Resubmit):
+        return workers
     if callable(getattr(workers, "get_executor", None)):
         return DaskExecutor(workers, {})
     if type(workers).__module__ == "distributed.cfexecutor":
@@ -304,6 +393,8 @@ def foreign(fun: Callable[..., Any], workers: Any, takes_cutoff: bool = False) -
 
 def worker_count(workers: Any) -> int | None:
     """Returns the number of workers of an executor, or None if it is unknown."""
+    if isinstance(workers, Resubmit):
+        return worker_count(workers.executor)
     if isinstance(workers, DaskExecutor):
         return int(sum(workers._client.nthreads().values()))
     # Attributes of Python's executors, loky and MPI.

@@ -181,8 +181,9 @@ class OptimizeResult:
     nfail : int
         Number of calls that failed (a tolerated exception, NaN or infinity).
     n_lost : int
-        Number of results that the executor lost because a machine or a connection failed. Their points were evaluated
-        again and count once. A run ends with status 6 if a point is lost three times.
+        Number of results that the executor lost because a machine or a connection failed, and of overdue tasks
+        (`Resubmit`). Their points were evaluated again and count once. A run ends with status 6 if a point is lost three
+        times.
     n_speculative : int
         Number of further calls of the objective, made ahead of need and not needed. It may depend on the number of
         workers and on the duration of calls.
