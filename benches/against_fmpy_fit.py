@@ -215,7 +215,7 @@ def main() -> int:
     parser.add_argument("--models", default=",".join(CASES))
     parser.add_argument("--rtol", type=float, default=1e-6)
     parser.add_argument("--rounds", type=int, default=1, help="times that each start is fitted; the shortest counts, on all sides")
-    parser.add_argument("--require", default="0,0", help="fail if FMPy with Nelder-Mead, least_squares takes less than so many times")
+    parser.add_argument("--require", default="0,0", help="fail if FMPy with Nelder-Mead, least_squares takes less than this multiple")
     arguments = parser.parse_args()
     import pydfo
 

@@ -123,7 +123,7 @@ def main() -> int:
     parser.add_argument("--rtol", type=float, default=1e-6)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--cpu", action="store_true", help="time of the processor instead of the clock on the wall")
-    parser.add_argument("--require", type=float, default=0.0, help="fail if the fastest of FMPy's takes less than so many times")
+    parser.add_argument("--require", type=float, default=0.0, help="fail if the fastest of FMPy's takes less than this multiple")
     arguments = parser.parse_args()
     import pydfo
 

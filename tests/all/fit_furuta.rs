@@ -68,7 +68,7 @@ fn cost_is_the_sum_of_squared_residuals_in_documented_order() {
 }
 
 #[test]
-fn cutoff_ends_hopeless_simulations_and_changes_nothing_else() {
+fn cutoff_stops_simulations_without_changing_results() {
     let calibration = calibration(furuta_measurements());
     let x = [0.011, 0.0015];
     let cost = calibration.cost(&x, &RunContext::new()).unwrap();

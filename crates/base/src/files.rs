@@ -443,7 +443,7 @@ mod tests {
         assert!(write_atomically(&pipe, b"x").is_err());
         let reader = without_waiting(OpenOptions::new().read(true), 0).open(&pipe).unwrap();
         write_atomically(&pipe, b"through").unwrap();
-        // Reads only seven bytes: a process started by another test keeps the write end open until it calls
+        // Reads only seven bytes, because a process started by another test keeps the write end open until it calls
         // exec.
         let mut content = [0; 7];
         (&reader).read_exact(&mut content).unwrap();

@@ -345,7 +345,7 @@ impl Error {
         }
     }
 
-    /// Returns the evaluations that were made before the error, if any.
+    /// Returns the evaluations before the error, if any.
     pub fn trace(&self) -> Option<&Trace> {
         match self {
             Self::AllStartsFailed(found) | Self::EndedWithoutPoint { found, .. } => Some(&found.trace),

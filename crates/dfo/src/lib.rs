@@ -29,14 +29,14 @@
 //! [`minimize_by`] sends them to your own [`Evaluator`], for example a cluster.
 //!
 //! The *path* of a run is the sequence of points whose outcomes its decisions depend on. A run with one
-//! worker would evaluate exactly these points. Points that other workers evaluate ahead of need are
+//! worker would evaluate exactly these points. Points that other workers evaluate speculatively are
 //! *speculative*.
 //!
 //! Properties of every method:
 //!
 //! - **The result is bit-for-bit identical for any number of workers.** Outcomes are processed in request
 //!   order. Random numbers come from one stream per generation and individual. The number of points evaluated
-//!   ahead of need is an option of the method ([`Lookahead`]). It changes neither path nor counts, because a
+//!   speculatively is an option of the method ([`Lookahead`]). It changes neither path nor counts, because a
 //!   speculative outcome is unused until the path reaches its point.
 //! - **A run can be continued** from a [`Checkpoint`] after a kill, after an interrupt or with a larger
 //!   budget. The continued run is bit-for-bit identical to an uninterrupted one.

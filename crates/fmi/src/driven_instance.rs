@@ -146,7 +146,7 @@ pub enum InstanceAnswer {
     Linearization(Linearization),
     /// Number of a saved state.
     State(u64),
-    /// Lines of the log, and number of lines that were not kept.
+    /// Lines of the log, and number of dropped lines.
     Log(Vec<String>, u64),
 }
 

@@ -332,7 +332,7 @@ impl Fmu {
         self.note_quirk(kind, message);
     }
 
-    /// Returns the number of calls of [`give_up`](Self::give_up) with a late difference.
+    /// Returns the number of calls of [`give_up`](Self::give_up) in which a difference appeared late.
     pub fn n_late(&self) -> u64 {
         self.inner.n_late.load(Ordering::Relaxed)
     }

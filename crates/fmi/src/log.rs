@@ -151,7 +151,7 @@ impl Log {
         self.lines.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Returns the last `n` lines that were kept, oldest first, and the number of other lines.
+    /// Returns the last `n` kept lines, oldest first, and the number of other lines.
     pub(crate) fn last(&self, n: usize) -> (Vec<LogLine>, u64) {
         let lines = self.lines();
         let skip = lines.kept.len().saturating_sub(n);

@@ -114,14 +114,14 @@ impl Session {
         outcome
     }
 
-    /// Returns the names and values that were set, in the order of setting.
+    /// Returns the assigned names and values, in the order of assignment.
     pub fn values(&self) -> impl Iterator<Item = (&str, &Value)> {
         let variables = &self.fmu.description().variables;
         self.values.iter().map(|(index, value)| (variables[*index].name.as_str(), value))
     }
 
     /// Returns the value of a variable. After a simulation this is the final value, unless the variable has
-    /// been set since. Before a simulation this is the value that was set or the start value. If neither
+    /// been set since. Before a simulation this is the assigned value, or the start value. If neither
     /// exists, the model is initialized.
     ///
     /// # Errors
@@ -137,7 +137,7 @@ impl Session {
     }
 
     /// Returns the value of a variable if it is known without running the model. Before a simulation this is
-    /// the value that was set, or the start value. After a simulation (`is_simulated`) this is the value set
+    /// the assigned value, or the start value. After a simulation (`is_simulated`) this is the value set
     /// since.
     ///
     /// # Errors
@@ -198,7 +198,7 @@ impl Session {
         names.iter().map(|name| last.simulator.value(name)).collect()
     }
 
-    /// Returns the number of elements of an array in each dimension, with the structural parameters that were
+    /// Returns the number of elements of an array in each dimension, with the structural parameters
     /// set. The result is empty for a scalar.
     ///
     /// # Errors

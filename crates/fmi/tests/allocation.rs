@@ -132,7 +132,7 @@ fn repeated_text_is_stored_once_in_results() {
 }
 
 #[test]
-fn texts_and_bytes_allocate_nothing_per_step() {
+fn strings_and_bytes_allocate_nothing_per_step() {
     let folder = arrays();
     let fmu = folder.open();
     let times: Vec<f64> = (0..400).map(|k| 0.05 * f64::from(k)).collect();

@@ -477,14 +477,14 @@ fn names_in(folder: &Path) -> Vec<PathBuf> {
 
 /// Runs this test in a separate process with its own folder for temporary files, which no other process uses.
 #[test]
-fn rejected_archives_leave_nothing_behind() {
+fn rejected_archives_leave_no_files() {
     const INSIDE: &str = "FMUFIT_TEST_INSIDE";
     if std::env::var_os(INSIDE).is_some() {
         return opens_and_looks_around();
     }
     let folder = tempfile::tempdir().unwrap();
     let output = Command::new(std::env::current_exe().unwrap())
-        .args(["--exact", "rejected_archives_leave_nothing_behind", "--nocapture"])
+        .args(["--exact", "rejected_archives_leave_no_files", "--nocapture"])
         .env(INSIDE, "1")
         .envs(["TMPDIR", "TMP", "TEMP"].map(|variable| (variable, folder.path())))
         .output()

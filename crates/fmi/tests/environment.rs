@@ -64,7 +64,7 @@ fn manual_calls_restore_float_mode() {
 }
 
 #[test]
-fn late_messages_of_foreign_threads_are_harmless() {
+fn delayed_messages_of_foreign_threads_are_harmless() {
     // FMI 3.0 has a different callback.
     for folder in [evil(&["LOGS_LATE"]), support::fixture_with("arrays", &["LOGS_LATE"], |xml| xml)] {
         let fmu = folder.open();

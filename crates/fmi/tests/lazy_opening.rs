@@ -166,11 +166,11 @@ fn open_fmu_detects_a_modified_file() {
     let (path, new) = (folder.path().join("m.fmu"), folder.path().join("new.fmu"));
     write_archive(&path, &[]);
     let first = Fmu::open(&path).unwrap();
-    // Another file takes the same name: the opened file still exists.
+    // The opened file still exists, although another file has its name.
     write_archive(&new, &[Entry::stored("resources/new.txt", b"4")]);
     fs::rename(&new, &path).unwrap();
     assert!(!first.root().unwrap().join("resources/new.txt").exists());
-    // Its bytes change: files that were not unpacked are lost.
+    // Its bytes change, so packed files are lost.
     let second = Fmu::open(&path).unwrap();
     write_archive(&path, &[Entry::stored("resources/newer.txt", b"5")]);
     for error in [second.instantiate().map(drop).unwrap_err(), second.content_hash().map(drop).unwrap_err()] {

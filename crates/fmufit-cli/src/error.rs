@@ -125,7 +125,7 @@ impl Error {
         Self { exit, message }
     }
 
-    /// Converts an error about input that was read or built. It has the exit code of unusable input, except
+    /// Converts an error in the input. It has the exit code of unusable input, except
     /// for interrupts.
     pub(crate) fn of_input(error: CalibrationError) -> Self {
         match Self::of_work(error) {

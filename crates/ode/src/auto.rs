@@ -267,7 +267,7 @@ impl Auto {
         }
         if !self.radau5_has_begun {
             if self.radau5.begin(equations.system).is_err() {
-                // Memory is insufficient for its matrices: the explicit method continues.
+                // Memory is insufficient for its matrices, so the explicit method continues.
                 self.patience = f64::INFINITY;
                 self.is_first = false;
                 return Ok(());

@@ -84,7 +84,7 @@ pub trait Observer {
         let _ = step;
     }
 
-    /// Receives an event that has been handled.
+    /// Receives an event after its handling.
     fn event(&mut self, event: &EventRecord) {
         let _ = event;
     }

@@ -72,7 +72,7 @@ impl Sampler {
         Ok(observer.sample(&Sample { time, index, side, states: here.x, outputs: &self.outputs }))
     }
 
-    /// Delivers a row after an event that was not requested.
+    /// Delivers an additional row after an event.
     pub(crate) fn record(
         &mut self,
         system: &mut dyn HybridSystem,

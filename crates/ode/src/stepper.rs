@@ -31,7 +31,7 @@ pub(crate) struct Point<'a> {
     pub(crate) slopes: &'a [f64],
 }
 
-/// A point whose state and slopes are to be corrected, starting from the current values.
+/// A point whose state and slopes must be corrected, starting from the current values.
 #[derive(Debug)]
 pub(crate) struct PointMut<'a> {
     pub(crate) t: f64,

@@ -64,7 +64,7 @@ def test_resumed_run_equals_uninterrupted_run(method, how, tmp_path):
 
         try:
             arguments = {**run, "options": options, **limits}
-            # Every function object here has another name.
+            # Every function object here has a different name.
             resume = "require" if path.exists() else "auto"
             res = minimize(func, **arguments, checkpoint=path, resume=resume, workers=workers, callback=stop)
         except (RuntimeError, pydfo.Interrupted, Exit):

@@ -18,7 +18,7 @@ from pydfo.compat import pyfmi
 from pydfo.compat.fmpy._file import numbers, read_file, attribute_values
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "compat.md"
-ROWS = re.findall(r"^\| `([\w.]+)` \| (works|differs|refused) \|", PAGE.read_text(encoding="utf-8"), re.M)
+ROWS = re.findall(r"^\| `([\w.]+)` \| (works|differs|unsupported) \|", PAGE.read_text(encoding="utf-8"), re.M)
 
 
 def found(name):
@@ -38,9 +38,9 @@ def found(name):
 @pytest.mark.parametrize("name, state", ROWS)
 def test_table_matches_the_modules(name, state):
     thing = found(name)
-    is_refused = callable(thing) and (thing.__doc__ or "").startswith("Not provided: ")
-    assert is_refused == (state == "refused")
-    if is_refused:
+    is_unsupported = callable(thing) and (thing.__doc__ or "").startswith("Not provided: ")
+    assert is_unsupported == (state == "unsupported")
+    if is_unsupported:
         with pytest.raises(NotImplementedError, match=f"{name.rpartition('.')[2]} is not provided: "):
             thing()
 
@@ -147,7 +147,7 @@ def test_attribute_names_match_fmpy():
     for name, state in ROWS:
         of, _, short = name.rpartition(".")
         theirs = getattr(fmpy.model_description, short, None)
-        if of == "fmpy.model_description" and state != "refused" and hasattr(theirs, "__attrs_attrs__"):
+        if of == "fmpy.model_description" and state != "unsupported" and hasattr(theirs, "__attrs_attrs__"):
             names = {a.name for a in theirs.__attrs_attrs__ if not a.name.startswith("_")}
             missing[short] = names - {field.name for field in dataclasses.fields(found(name))}
     assert len(missing) > 10
@@ -268,7 +268,7 @@ def test_rows_are_unchanged_when_times_are_large(kind):
     assert rows[1.7e9].shape == rows[0.0].shape and np.allclose(rows[1.7e9], rows[0.0], atol=1e-6)
 
 
-def test_jumps_of_inputs_are_rows_when_times_are_large():
+def test_input_jumps_are_recorded_at_large_times():
     signals = np.array([(1.7e9, 0.0), (1.7e9 + 0.35, 0.0), (1.7e9 + 0.35, 1.0), (1.7e9 + 1.0, 1.0)], dtype=[("time", float), ("u", float)])
     path = str(example_fmu("switched_input", version="3.0"))
     span = {"start_time": 1.7e9, "stop_time": 1.7e9 + 1.0, "output_interval": 0.1}

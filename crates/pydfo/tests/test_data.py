@@ -112,7 +112,7 @@ def test_matlab_files_are_read(tmp_path, write):
         cost(path, time="t")
 
 
-def test_columns_of_other_lengths_are_listed(tmp_path):
+def test_columns_of_different_lengths_are_listed(tmp_path):
     with pytest.raises(
         BadCalibrationError,
         match=r"column 'gain' not found.*Ignored, because their length differs from the times: rig \(a struct: rig.field\), gain \(1 x 1\)",
@@ -282,7 +282,7 @@ def test_csv_with_dates_of_matlab_is_read(tmp_path):
         cost(tmp_path / "run.csv")
 
 
-def test_csv_of_pandas_without_a_name_of_its_index_states_how_to_write_it(tmp_path):
+def test_pandas_csv_with_unnamed_index_suggests_index_label(tmp_path):
     pd = pytest.importorskip("pandas")
     frame = pd.DataFrame({"x": X}, index=TIME)
     frame.to_csv(tmp_path / "run.csv")

@@ -29,7 +29,7 @@ def failing_at(k, how, values):
     """Returns Rosenbrock's function with a failure at the point of evaluation k of the path, and a store of its
     finite values.
 
-    The point also fails if it is evaluated ahead of need, and again when the path reaches it."""
+    The point also fails if it is evaluated speculatively, and again when the path reaches it."""
     lock = threading.Lock()
     where = path(k)[-1]
 

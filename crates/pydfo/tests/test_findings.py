@@ -112,7 +112,7 @@ def test_dates_get_no_unit_advice() -> None:
 
 
 def test_delay_of_several_outputs_is_rejected() -> None:
-    with pytest.raises((TypeError, ValueError), match="delay_of names one output or input.*delays"):
+    with pytest.raises((TypeError, ValueError), match="delay_of must be one output or input.*delays"):
         pydfo.Parameter("tau", 0.1, 0, 1, delay_of=["x", "y"])  # type: ignore[arg-type]
 
 

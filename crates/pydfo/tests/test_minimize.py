@@ -194,7 +194,7 @@ def test_executor_receives_one_point_per_worker():
     with Counting(5) as executor:
         res = minimize(rosenbrock, [-1.2, 1.0], workers=executor, max_iterations=30, method="nelder-mead")
     assert res.batch == "auto" and res.workers == 5
-    # Some points started ahead of need are cancelled before they run.
+    # Some points started speculatively are cancelled before they run.
     assert set(widths) == {threading.get_ident()} and len(widths) >= res.nfev + res.n_speculative
     assert minimize(rosenbrock, [-1.2, 1.0], workers=map, max_iterations=3, options={"batch": "serial"}).batch == "serial"
 

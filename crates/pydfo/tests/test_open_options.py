@@ -100,7 +100,7 @@ def test_libraries_load_with_other_options(options):
 
 
 @pytest.mark.parametrize(("fault", "reuse"), [(None, "reset"), ("RESET_TO_ZERO", "reinstantiate"), ("REMEMBERS=1.01", "process")])
-def test_reuse_names_the_first_method_that_agrees_with_a_fresh_process(tmp_path, caplog, fault, reuse):
+def test_reuse_reports_the_first_method_that_agrees_with_a_fresh_process(tmp_path, caplog, fault, reuse):
     path = fmus.evil(tmp_path / "own.fmu", *([fault] if fault else []))
     model = FMUModel(path, "ME")
     first = {}

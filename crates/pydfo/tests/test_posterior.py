@@ -1,4 +1,4 @@
-"""Samples of the posterior distribution: closed forms, same bits, typical use."""
+"""Samples of the posterior distribution: closed forms, bit-for-bit identical results, typical use."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ def test_start_on_a_bound_is_allowed():
 def test_evaluation_budget_is_exact(nbr_cores):
     func = Recorder(rosenbrock)
     res = fmin(func, [-1.2, 1.0], max_fevals=50, nbr_cores=nbr_cores, **QUIET)
-    # a slow machine may evaluate points ahead of need, which the budget does not count
+    # a slow machine may evaluate speculative points, which the budget does not count
     assert res.nfev == len(func.values) - res.n_speculative == 50
 
 

@@ -262,7 +262,7 @@ def test_budget_applies_to_the_search():
 
 @pytest.mark.parametrize("scale", ["linear", "log"])
 @pytest.mark.parametrize(("lower", "upper", "side"), [(0.1, 1.5, "upper"), (2.5, 10.0, "lower"), (0.1, 10.0, None)])
-def test_parameter_at_its_bound_is_named(scale, lower, upper, side):
+def test_parameter_at_its_bound_is_reported(scale, lower, upper, side):
     parameter = Parameter("k", 0.5 * (lower + upper), lower, upper, scale=scale)
     fit = decay({"time": TIME, "x": DECAY}, parameters=[parameter]).fit()
     assert fit.at_bound == ({} if side is None else {"k": side}) and fit.without_effect == []

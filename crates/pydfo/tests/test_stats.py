@@ -71,7 +71,7 @@ def test_fit_adds_up_its_simulations(workers):
     assert 0 < fit.stats.seconds_in_model <= fit.stats.seconds
     assert f"{fit.stats.right_hand_sides} right-hand sides" in repr(fit) and "inside the model" in repr(fit)
     assert fit["stats"] is fit.stats
-    # The simulations ahead of need depend on the duration of simulations.
+    # The speculative simulations depend on the duration of simulations.
     one, other = (bouncing().fit(max_evaluations=15, workers=n, batch="serial").stats for n in (1, workers))
     assert one == other
 

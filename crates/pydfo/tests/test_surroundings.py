@@ -50,7 +50,7 @@ def test_simulation_uses_environment_of_the_call(tmp_path, monkeypatch, caplog):
     assert not [message for message in caplog.messages if "depends on what ran before" in message]
 
 
-def test_fit_keeps_environment_of_its_start(tmp_path, monkeypatch):
+def test_fit_uses_environment_at_its_start(tmp_path, monkeypatch):
     fmu = evil(tmp_path / "variable.fmu", FROM_ENVIRONMENT)
     monkeypatch.setenv("MODEL_K", "3")
     fit = started(fmu, 3.0).fit(method="de", max_evaluations=60, rng=1, workers=2, callback=lambda _: os.environ.update(MODEL_K="1"))

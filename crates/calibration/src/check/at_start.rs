@@ -69,8 +69,8 @@ fn unit(series: &Series<'_>, subject: &ExperimentSubject<'_>) -> Option<(Finding
         let left = size_of_difference(measured, simulated.iter().map(|s| s - zero));
         if may_be_temperature && left < 0.3 * off && off > 0.5 * ZERO_CELSIUS {
             let sentence = format!(
-                "the measurements differ from the simulation at the start values by {}, about as degC from K. They are probably in another \
-                 unit, which the parameters cannot correct",
+                "the measurements differ from the simulation at the start values by {}, roughly the offset between degC and K. They are probably \
+                 in another unit, which the parameters cannot correct",
                 Number(rounded(off))
             );
             return finding(sentence, 1.0);

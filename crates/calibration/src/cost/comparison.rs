@@ -87,7 +87,7 @@ impl Comparisons {
 }
 
 /// Returns the bits of an answer; empty for a failed simulation. Returns `None` if the answer depends
-/// on the clock: the context or a time limit may have ended the simulation.
+/// on the clock, because the context or a time limit may have ended the simulation.
 pub(super) fn bits_of<T>(
     reported: &Result<T, FmiError>,
     answer: &Frame,

@@ -12,7 +12,7 @@ use std::time::Duration;
 const LOST: &str = "the instance was lost with its process. Create a new instance";
 const INTERRUPTED: &str = "the instance was freed because a call was interrupted. Create a new instance";
 const FORKED: &str =
-    "the instance belongs to the process from which this one was forked. Create one instance in each process";
+    "the instance belongs to the parent process of this fork. Create one instance in each process";
 
 /// Maximum wait for an unused instance to be freed.
 const LONGEST_END: Duration = Duration::from_secs(1);

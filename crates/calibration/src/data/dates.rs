@@ -87,7 +87,7 @@ pub fn date_seconds(
             let other = shortened(cells[0].as_ref());
             return Err(DateError::Cell(
                 row,
-                format!("'{shown}' has another form than the first date, '{other}'"),
+                format!("'{shown}' has a different format from the first date, '{other}'"),
             ));
         }
         if form == Form::Pair && pair.is_none() {
@@ -279,10 +279,13 @@ mod tests {
             (&["31-Mai-2024 10:00:00"], (0, "expected a date such as 31-May-2024")),
             (&["1 days 25:00:00"], (0, "neither")),
             (&["1 days10:00:00"], (0, "neither")),
-            (&["0 days 00:00:00", "00:00:01"], (1, "another form than the first date, '0 days 00:00:00'")),
+            (
+                &["0 days 00:00:00", "00:00:01"],
+                (1, "a different format from the first date, '0 days 00:00:00'"),
+            ),
             (
                 &["2024-05-31", "10:00:00"],
-                (1, "'10:00:00' has another form than the first date, '2024-05-31'"),
+                (1, "'10:00:00' has a different format from the first date, '2024-05-31'"),
             ),
         ] {
             let (row, message) = of(cells).unwrap_err();

@@ -22,7 +22,7 @@ pub struct Data {
     pub(super) time_name: String,
     pub(super) time: Series,
     pub(super) columns: Vec<Column>,
-    /// Names of columns that were not read.
+    /// Names of unread columns.
     pub(super) left_out: Vec<String>,
     /// True if the times were dates or durations, so that they have no other unit.
     #[serde(default)]
@@ -194,7 +194,7 @@ impl Data {
         self.clock_change.as_ref()
     }
 
-    /// Returns the names of all columns except the time. Columns that were not read come last.
+    /// Returns the names of all columns except the time. Unread columns come last.
     pub fn all_names(&self) -> impl Iterator<Item = &str> + Clone {
         self.names().chain(self.left_out.iter().map(String::as_str))
     }

@@ -42,7 +42,7 @@ pub(super) fn check_path(path: &Path, calibration: &Calibration) -> Result<(), C
     }
 }
 
-/// Returns an error if the path has another suffix, because other tools identify files by it.
+/// Returns an error if the path has a different suffix, because other tools identify files by it.
 pub(super) fn check_suffix(path: &Path, suffix: &str) -> Result<(), CalibrationError> {
     let is_it = path.extension().is_some_and(|found| found.eq_ignore_ascii_case(suffix));
     if is_it && !path.is_dir() {

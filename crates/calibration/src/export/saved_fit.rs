@@ -33,7 +33,7 @@ struct Header {
     hash: String,
 }
 
-/// Fit that was read from a file, with its problem.
+/// Fit read from a file, with its problem.
 ///
 /// ```
 /// # use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, SavedFit};
@@ -167,8 +167,8 @@ impl SavedFit {
     /// Returns the calibration with a model of equal content at another path.
     ///
     /// # Errors
-    /// Returns [`CalibrationError::OtherModel`] if the model has another content. Also returns the errors of
-    /// [`Calibration::from_problem`].
+    /// Returns [`CalibrationError::OtherModel`] if the content of the model differs. Also returns the errors
+    /// of [`Calibration::from_problem`].
     pub fn calibration_with(&self, fmu: Fmu) -> Result<Calibration, CalibrationError> {
         self.problem.model.check(&fmu)?;
         let problem = Problem { model: ModelFile::of(&fmu)?, ..self.problem.clone() };
@@ -192,8 +192,8 @@ fn to_bytes<T: Serialize>(written_by: &str, parts: &T, description: Vec<u8>) -> 
     Ok(bytes)
 }
 
-/// Returns the header of a file and the remaining bytes. Returns an error if the file has another kind or
-/// format, or is damaged.
+/// Returns the header of a file and the remaining bytes. Returns an error if the file is of a different
+/// kind or format, or is damaged.
 fn header(mut bytes: &[u8]) -> Result<(Header, &[u8]), String> {
     let found = item::<Header>(&mut bytes).ok().filter(|header| header.format == FORMAT);
     let header = found.ok_or("the file is not a saved fit")?;

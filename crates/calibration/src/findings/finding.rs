@@ -30,8 +30,8 @@ impl Severity {
     }
 }
 
-/// Subject area of a finding. Areas are ordered by cause: a wrong unit can leave a parameter at its bound,
-/// and both can leave systematic residuals.
+/// Subject area of a finding. Areas are ordered by cause, because a wrong unit can leave a parameter at its
+/// bound, and both can leave systematic residuals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]

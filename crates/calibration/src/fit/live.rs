@@ -15,7 +15,7 @@ const MOST_FAILED: usize = 10;
 const MOST_REASONS: usize = 50;
 
 /// State of a fit while it runs, see [`FitOptions::live`](crate::FitOptions::live). It requires no extra
-/// simulations: the search has already computed the residuals at the best point.
+/// simulations, because the search has already computed the residuals at the best point.
 #[derive(Debug, Default)]
 pub struct LiveFit {
     state: Mutex<LiveState>,
@@ -71,7 +71,7 @@ pub(crate) struct Running<'a> {
     id: u64,
 }
 
-/// Locks a mutex and ignores poisoning: the data are consistent at all times.
+/// Locks a mutex and ignores poisoning, because the data are consistent at all times.
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

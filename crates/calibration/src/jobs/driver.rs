@@ -31,7 +31,7 @@ pub struct JobDriver {
     problem: usize,
     next_problem: usize,
     submitted: Vec<Submitted>,
-    /// Points that were cancelled.
+    /// Cancelled points.
     skipped: VecDeque<u64>,
     /// Claims with the time of their last sign of life, and the time at which this process first saw it.
     /// Clocks of two machines are never compared.

@@ -167,7 +167,7 @@ impl JobFolder {
         &self.path
     }
 
-    /// Returns the options that were given to [`create`](Self::create).
+    /// Returns the options passed to [`create`](Self::create).
     pub fn options(&self) -> &Record {
         &self.header.options
     }

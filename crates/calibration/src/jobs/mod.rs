@@ -1,7 +1,7 @@
 //! Fits whose simulations are done by independent processes that share only a folder.
 //!
 //! The search is deterministic, and the folder contains every answer. A process that drives the fit therefore
-//! repeats the search from its beginning, which takes no simulations, and continues where another process
+//! repeats the search from its beginning, which requires no simulations, and continues where another process
 //! ended.
 
 mod driver;

@@ -73,7 +73,7 @@ impl PointName {
     }
 
     /// Returns the name of the file of the point. Names sort in the order of submission, points of the path
-    /// before points ahead of need.
+    /// before speculative points.
     pub(super) fn point(&self) -> String {
         format!("{:04}-{:016x}-{}", self.problem, self.id, self.key)
     }
@@ -226,7 +226,7 @@ impl JobFolder {
         Ok(n)
     }
 
-    /// Evaluates a point; `None` if the evaluation was cancelled. `loaded` is the problem that was used last.
+    /// Evaluates a point; `None` if the evaluation was cancelled. `loaded` is the last problem used.
     fn evaluate_point(
         &self,
         point: &JobPoint,

@@ -141,7 +141,7 @@ impl Calibration {
         Ok(Self { evaluator, identity })
     }
 
-    /// Copies the warnings of the calibration that this one was derived from.
+    /// Copies the warnings of the calibration from which this one is derived.
     pub(crate) fn keep_warnings(&mut self, from: &Self) {
         self.evaluator.warnings.clone_from(&from.evaluator.warnings);
     }

@@ -12,7 +12,7 @@ use fmi::{ModelDescription, Value};
 
 /// Converts columns with a declared unit to the units of their variables, if both units are known. A
 /// converted column then declares the unit of the variable, so that it is not converted twice. Returns
-/// warnings about columns that were not converted.
+/// warnings about unconverted columns.
 ///
 /// # Errors
 /// Returns an error if:
@@ -141,7 +141,7 @@ fn converted_model(
     let is_proportional = model.proportional.stated() != Some(0.0);
     if is_proportional && conversion.apply(0.0) != 0.0 {
         return Err(CalibrationError::Setup(format!(
-            "sigma '{model}' of '{variable}' depends on abs(y), but the unit of column '{column}' has another zero. Convert the column to the \
+            "sigma '{model}' of '{variable}' depends on abs(y), but the unit of column '{column}' has a different zero. Convert the column to the \
              unit of the variable"
         )));
     }

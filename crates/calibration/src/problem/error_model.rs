@@ -67,7 +67,7 @@ impl fmt::Display for Coefficient {
 }
 
 impl ErrorModel {
-    /// True if the text is an error model, or is meant to be one. All other texts are names of columns.
+    /// True if the text is an error model, or is meant to be one. All other strings are names of columns.
     pub fn is_meant(text: &str) -> bool {
         text.contains("abs(") || text.parse::<Self>().is_ok()
     }

@@ -154,8 +154,8 @@ impl Weight {
     /// column with this name.
     ///
     /// # Errors
-    /// Returns an error with the name of the measured `column` if the text contains `abs(` but is no error
-    /// model.
+    /// Returns an error with the name of the measured `column` if the text contains `abs(` but is not an
+    /// error model.
     pub fn of_sigma(text: &str, column: &str) -> Result<Self, CalibrationError> {
         if !Self::is_sigma(text) {
             return Ok(Sigma::Column(text.to_owned()).into());

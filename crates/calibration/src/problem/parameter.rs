@@ -162,8 +162,8 @@ impl Parameter {
             None | Some(Value::Nothing | Value::Text(_)) => {}
             Some(Value::List(_)) => {
                 return bad(
-                    "delay_of names one output or input. For a common delay of several, tie the parameters of the others with \
-                     tied_to; write known delays in delays of the recording"
+                    "delay_of must be one output or input. For a common delay of several, tie the parameters of the others with \
+                     tied_to; set known delays with delays of the recording"
                         .to_owned(),
                 );
             }
@@ -470,7 +470,7 @@ impl Parameter {
         self.scale
     }
 
-    /// Returns the typical size, if one was given.
+    /// Returns the typical size, if given.
     pub fn nominal_size(&self) -> Option<f64> {
         self.nominal
     }

@@ -197,7 +197,7 @@ pub(crate) fn states(description: &ModelDescription) -> Vec<&String> {
     description.structure.derivatives.iter().filter_map(|derivative| state(derivative.index)).collect()
 }
 
-/// Returns an error if an output that provides the start value of a variable has another unit.
+/// Returns an error if an output that provides the start value of a variable has a different unit.
 fn check_same_unit(
     variable: &str,
     output: &str,

@@ -28,7 +28,7 @@ pub enum SetupWarning {
         /// The input.
         input: String,
     },
-    /// A column declares a unit that was not converted to the unit of its variable.
+    /// A column is not converted from its declared unit to the unit of its variable.
     NotConverted {
         /// The recording.
         data: String,

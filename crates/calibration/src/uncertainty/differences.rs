@@ -252,7 +252,7 @@ impl Differences {
         Ok(Ok(Self { noise: 3.0 * noise, roughness, ..found }))
     }
 
-    /// Replaces steps that were too short or too long. Combinations whose changes are not above the noise get
+    /// Replaces steps of unsuitable length. Combinations whose changes are not above the noise get
     /// longer steps. Steps far beyond a standard error over which the residuals bend get shorter ones.
     fn with_better_steps(
         self,

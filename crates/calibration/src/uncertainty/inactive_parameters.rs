@@ -81,7 +81,7 @@ struct Suspect {
 /// A finished run and its settings.
 pub(crate) struct EndedRun<'a> {
     pub(crate) start: &'a [f64],
-    /// Indices of parameters that were held at the start.
+    /// Indices of parameters held fixed at the start.
     pub(crate) held: &'a [usize],
     pub(crate) report: &'a Report,
     pub(crate) kind: &'a CostKind,

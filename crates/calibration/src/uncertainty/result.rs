@@ -159,10 +159,10 @@ pub struct Uncertainty {
     pub confounded: Vec<(usize, usize, f64)>,
     /// Parameters of the combination that the data determine worst, if it contains three or more parameters.
     pub weakest: Vec<usize>,
-    /// Indices of parameters that the data can determine while the others are held. They are the longest
-    /// prefix of the pivot order with relative standard errors below 50 % and no correlation of 0.9 or more.
-    /// In the pivot order, the columns of the scaled Jacobian are as independent as possible (QR with column
-    /// pivoting; Burth, Verghese and Velez-Reyes, IEEE Trans. Power Systems 14, 1999).
+    /// Indices of parameters that the data can determine while the others are held fixed. They are the
+    /// longest prefix of the pivot order with relative standard errors below 50 % and no correlation of 0.9
+    /// or more. In the pivot order, the columns of the scaled Jacobian are as independent as possible (QR
+    /// with column pivoting; Burth, Verghese and Velez-Reyes, IEEE Trans. Power Systems 14, 1999).
     pub identifiable: Vec<usize>,
     /// Relative size of residual changes below which changes are simulation errors.
     #[serde(default)]
@@ -205,7 +205,7 @@ pub struct Uncertainty {
     #[serde(default)]
     pub has_loss: bool,
     /// Derivatives of the residuals with respect to the parameters, m x n, row by row, in the user's units.
-    /// Columns of held parameters are zero.
+    /// Columns of fixed parameters are zero.
     pub jacobian: Vec<f64>,
     /// Residuals, m, before a loss is applied.
     pub residuals: Vec<f64>,
@@ -222,8 +222,8 @@ pub struct Uncertainty {
 impl Uncertainty {
     /// Returns the lower and upper ends of the confidence intervals of the parameters at `level`, for example
     /// 0.95. They use Student's t with the [degrees of freedom](Self::effective_degrees_of_freedom) of each
-    /// parameter: `x -+ t s`, or `x exp(-+ t s / x)` on a logarithmic scale. Intervals of held parameters are
-    /// points. Intervals of undetermined parameters are unbounded.
+    /// parameter: `x -+ t s`, or `x exp(-+ t s / x)` on a logarithmic scale. Intervals of fixed parameters
+    /// are points. Intervals of undetermined parameters are unbounded.
     ///
     /// # Errors
     /// Returns an error if the level is not between 0 and 1.
@@ -249,7 +249,7 @@ impl Uncertainty {
                 errors_and_correlation(&covariance, uncorrected.x.len());
             uncorrected.covariance = covariance;
             if let Some(joint) = uncorrected.uncorrected_joint.take() {
-                // A held or undetermined parameter has no separate degrees of freedom.
+                // A fixed or undetermined parameter has no separate degrees of freedom.
                 let all = uncorrected.degrees_of_freedom;
                 let degrees = |i: usize| {
                     Some(joint.degrees_of_freedom(&joint.of(i)))

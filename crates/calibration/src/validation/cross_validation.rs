@@ -53,18 +53,18 @@ impl CrossValidationOptions {
     }
 }
 
-/// A fold: the recordings that were held out, the fit to the others, and its validation.
+/// A fold: the recordings held out, the fit to the others, and its validation.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Fold {
-    /// Names of the recordings that were held out.
+    /// Names of the recordings held out.
     pub held_out: Vec<String>,
     /// Fit to the other recordings.
     pub fit: Fit,
     /// Root mean square of the weighted residuals of the fitted recordings. It uses plain residuals with
     /// every loss, like the validation.
     pub fit_rms: f64,
-    /// Validation of the fit on the recordings that were held out.
+    /// Validation of the fit on the recordings held out.
     pub validation: Validation,
 }
 
@@ -90,7 +90,7 @@ impl Calibration {
     /// left out once. A fit that describes the machine predicts a recording as well as it reproduces the
     /// fitted recordings. Its parameters are also similar, whichever recording is left out.
     /// [Local](crate::Parameter::local) parameters of a recording that is held out are fitted to it while all
-    /// others are held, as in [`validate`](Self::validate).
+    /// others are held fixed, as in [`validate`](Self::validate).
     ///
     /// # Errors
     /// Returns an error if there are fewer than two recordings, the number of folds is invalid, or a fit

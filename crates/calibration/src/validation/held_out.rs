@@ -120,7 +120,7 @@ impl Calibration {
     /// Simulates with the parameters of a fit of this calibration and compares with measurements that the fit
     /// has not used. Other recordings may have local parameters that the fit does not contain. These are
     /// first fitted to the recordings, from their start values there, with the same cost and loss while all
-    /// others are held. All RMS values use plain residuals, with every loss. Error models have the
+    /// others are held fixed. All RMS values use plain residuals, with every loss. Error models have the
     /// coefficients of the fit and use the measured values instead of the simulated ones.
     ///
     /// ```

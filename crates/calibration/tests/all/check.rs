@@ -177,7 +177,7 @@ fn check_reports_temperatures_in_degrees_celsius() {
             .unwrap()
             .check();
         let reported = reported(&check).concat();
-        assert_eq!(reported.contains("as degC from K"), is_reported, "{check}");
+        assert_eq!(reported.contains("between degC and K"), is_reported, "{check}");
         assert_eq!(reported.contains("as in 'outlet [degC]'"), is_reported, "{check}");
         assert!(!reported.contains("rpm") && !check.to_string().contains("[mm]"), "{check}");
     }

@@ -184,7 +184,7 @@ fn estimated_noise_of_another_recording_does_not_change_an_error_model() {
 }
 
 #[test]
-fn error_models_report_what_they_do_not_support() {
+fn error_models_report_unsupported_combinations() {
     let y = || decay(6, [3.0, 1.0], [0.05, 0.1]);
     let of = |text: &str| calibration(y(), text, true);
     let robust = RobustLoss::new(Loss::Huber, 1.0).unwrap();
@@ -198,7 +198,7 @@ fn error_models_report_what_they_do_not_support() {
     let error = Weight::of_sigma("0.1 + abs(y", "x").unwrap_err().to_string();
     assert!(error.contains("sigma of column 'x': '0.1 + abs(y' is not an error model"), "{error}");
     assert_eq!(Weight::of_sigma("sd", "x").unwrap(), Sigma::Column("sd".to_owned()).into());
-    // Problem files accept the same texts.
+    // Problem files accept the same strings.
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("a.csv"), "time,x\n0,1\n1,0.5\n2,0.2\n").unwrap();
     let read = |sigma: &str| {

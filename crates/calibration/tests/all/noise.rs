@@ -335,7 +335,7 @@ fn fit_reports_when_noise_is_not_estimated() {
 
 /// Two parameters that only their priors distinguish, and as many measurements as parameters.
 #[test]
-fn priors_determine_what_measurements_do_not() {
+fn priors_determine_parameters_without_measurements() {
     let mut normal = normal(9);
     let y = times().iter().map(|t| 3.0 * (-2.0 * t).exp() + 0.01 * normal()).collect();
     let data = Data::from_columns(times(), [("x".to_owned(), y)]).unwrap();

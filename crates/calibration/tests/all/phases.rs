@@ -146,7 +146,7 @@ fn fit_runs_no_simulation_after_time_limit() {
     assert!(fit.cost.is_finite() && fit.outputs.len() == 1);
 }
 
-/// The message reports the limit of the user, or of the stage, and not the time that was left for the search.
+/// The message reports the limit of the user, or of the stage, and not the time left for the search.
 #[test]
 fn message_reports_the_given_time_limit() {
     let calibration = decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Euler, Some(1e-5));

@@ -126,7 +126,7 @@ fn sample_has_the_same_bits_for_any_number_of_workers_and_after_a_restart() {
     assert!(part.is_interrupted && reached.get() == 15, "{part}");
     let rest = calibration.sample(&fit, &stored, &mut |_| (), &RunContext::new()).unwrap();
     assert_eq!((&whole.draws, whole.n_simulations), (&rest.draws, rest.n_simulations));
-    // Another fit is refused.
+    // Another fit is rejected.
     let other = PosteriorOptions { seed: Some(6), ..stored };
     let message = calibration.sample(&fit, &other, &mut |_| (), &RunContext::new()).unwrap_err().to_string();
     assert!(message.contains("another seed"), "{message}");

@@ -118,7 +118,7 @@ fn held_out_local_parameters_are_fitted_with_the_loss_of_the_fit() {
         .unwrap();
     let of_third = &found.folds[2].validation;
     assert!((of_third.x[1] - 2.5).abs() < 0.02, "{found}");
-    // Both columns use plain residuals: the first fold was fitted to the recording with the outliers.
+    // Both columns use plain residuals, because the first fold was fitted to the recording with the outliers.
     let outliers = (5.0 * 9.0 / 80.0_f64).sqrt();
     assert!((found.folds[0].fit_rms / outliers - 1.0).abs() < 0.05, "{found}");
     assert!((of_third.rms / (5.0 * 9.0 / 40.0_f64).sqrt() - 1.0).abs() < 0.05, "{found}");

@@ -182,7 +182,7 @@ fn saved_fit_rejects_invalid_files() {
 }
 
 #[test]
-fn saved_fit_names_what_cannot_be_written() {
+fn saved_fit_reports_unwritable_parts() {
     let (calibration, fit, _) = fitted();
     let folder = tempfile::tempdir().unwrap();
     let refusal = |path: &Path| fit.save(&calibration, path).unwrap_err();

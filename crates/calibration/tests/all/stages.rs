@@ -1,4 +1,4 @@
-//! Fits in stages: the free and held parameters of each stage, and the settings that apply to all stages.
+//! Fits in stages: the free and fixed parameters of each stage, and the settings that apply to all stages.
 
 #![allow(clippy::unwrap_used)]
 
@@ -116,7 +116,7 @@ fn stages_without_standard_errors_report_the_missing_test() {
 }
 
 #[test]
-fn stages_with_wrong_held_values_do_not_count_as_converged() {
+fn stages_with_wrong_fixed_values_do_not_count_as_converged() {
     let calibration = two_coupled(1e-3, 1.0);
     let fitted = |stages: &[Stage]| calibration.fit_stages(stages, FitOptions::default()).unwrap();
     let apart = fitted(&[Stage::new(["k"]), Stage::new(["x"])]);

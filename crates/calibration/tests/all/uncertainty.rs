@@ -76,7 +76,7 @@ fn standard_errors_of_decay_match_closed_form() {
 }
 
 #[test]
-fn held_parameters_have_no_standard_error() {
+fn fixed_parameters_have_zero_standard_error() {
     // The best value for the data is k = 1.5.
     let at_bound = decay([Parameter::new("k", 1.0).bounds(0.1, 1.2), Parameter::new("x", 1.0)]);
     let fit = at_bound.fit(FitOptions::default()).unwrap();

@@ -79,7 +79,7 @@ impl<'a> BatchView<'a> {
 /// A function that evaluates whole batches on the calling thread: one outcome per point, in order.
 pub(crate) type BatchFunction<'a> = dyn FnMut(&BatchView<'_>) -> Vec<Outcome> + 'a;
 
-/// Minimum speed-up for evaluations ahead of need. If evaluating several points together is not faster by
+/// Minimum speed-up for speculative evaluations. If evaluating several points together is not faster by
 /// this factor than one by one, no points are evaluated ahead.
 const LEAST_GAIN: f64 = 1.5;
 
@@ -92,7 +92,7 @@ pub(crate) struct Batches<'a> {
     gain: Option<f64>,
     points: Vec<f64>,
     queries: Vec<Query<'static>>,
-    /// Answers. Those before `next` have already been returned.
+    /// Answers; the entries before `next` have already been returned.
     answers: Vec<Answer>,
     next: usize,
     /// Ids of points cancelled before the function received them.

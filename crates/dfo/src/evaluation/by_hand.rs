@@ -42,7 +42,7 @@ impl ByHand {
         self.out.remove(&id)
     }
 
-    /// Processes the answer to a point that was taken back. If the answer is not final, the point is handed
+    /// Processes the answer to a withdrawn point. If the answer is not final, the point is handed
     /// out again.
     pub(crate) fn answered(&mut self, handed: Handed, mut answer: Answer, is_final: bool) {
         if !is_final && handed.is_cancelled {

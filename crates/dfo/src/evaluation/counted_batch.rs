@@ -141,7 +141,7 @@ impl CountedBatch {
         limits.max_evaluations.map_or(usize::MAX, |m| m.saturating_sub(spent))
     }
 
-    /// Returns the answer for a point evaluated before the run was resumed, or ahead of need.
+    /// Returns the answer for a point evaluated before the run was resumed, or speculatively.
     fn evaluated_before(&mut self, batch: &Batch, k: usize) -> Option<Answer> {
         match self.store.take(batch.point(k), &batch.query(k), self.cutoff_use)? {
             Ok((stored, is_of_path)) => {
@@ -318,7 +318,7 @@ impl CountedBatch {
         self.keep_early(SpeculativeEntry::new(id, batch, x, self.work.query(k), answer.clone()));
     }
 
-    /// Keeps an evaluation that was made ahead of need.
+    /// Keeps a speculative evaluation.
     pub(crate) fn keep_early(&mut self, entry: SpeculativeEntry) {
         self.ledger.count_early();
         if let Some(useless) = self.store.keep(EarlyOutcome { entry, is_of_path: false }) {
@@ -336,7 +336,7 @@ impl CountedBatch {
         self.ledger.trim(true);
     }
 
-    /// Moves out the answers to the last batch. Points that were not evaluated are [`Outcome::Skipped`].
+    /// Moves out the answers to the last batch. Unevaluated points are [`Outcome::Skipped`].
     pub(crate) fn reported(&mut self, batch: &Batch) -> &mut Answers {
         self.reported.clear();
         for answer in &mut self.answers {

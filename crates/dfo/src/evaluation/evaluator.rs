@@ -67,7 +67,7 @@ pub trait Evaluator {
         plan.min(self.width())
     }
 
-    /// True if evaluations ahead of need are worthwhile according to the previous measurements.
+    /// True if speculative evaluations are worthwhile according to the previous measurements.
     fn pays_ahead(&self) -> bool {
         self.width() > 1
     }
@@ -87,7 +87,7 @@ pub trait Evaluator {
         false
     }
 
-    /// Returns the number of evaluations that were lost and that this evaluator has repeated by itself.
+    /// Returns the number of lost evaluations that this evaluator has repeated by itself.
     /// Losses that it reports as answers are not included.
     fn n_lost(&self) -> usize {
         0

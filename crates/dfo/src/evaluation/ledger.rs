@@ -14,12 +14,12 @@ const MAX_REASONS: usize = 50;
 pub(crate) enum Source {
     /// The objective is called for the point.
     Run,
-    /// The evaluation started ahead of need and is awaited.
+    /// The evaluation started speculatively, and the path now needs it.
     Begun,
     /// The objective is called for a point that is only known to be above a lower cutoff. The point counts as
     /// known.
     Again,
-    /// The objective was called earlier: ahead of need, or before the run was resumed.
+    /// The objective was called earlier, either speculatively or before the run was resumed.
     Replayed,
     /// The point is known from an evaluation of this run or an earlier run.
     Cached,
@@ -42,11 +42,11 @@ pub(crate) struct Ledger {
     trace_limit: Option<usize>,
     /// True if the trace keeps residuals.
     keeps_residuals: bool,
-    /// Number of evaluations started ahead of need, and number of them that the path reached while they were
+    /// Number of evaluations started speculatively, and number of them that the path reached while they were
     /// running.
     pub(crate) n_guessed: u64,
     pub(crate) n_adopted: usize,
-    /// Number of evaluations started ahead of need that ended before the path reached them.
+    /// Number of evaluations started speculatively that ended before the path reached them.
     n_early: usize,
     /// Number of these evaluations that the path reached later.
     pub(crate) n_reached: usize,
@@ -110,7 +110,7 @@ impl Ledger {
             let Some(value) = outcome.value().filter(|v| *v <= batch.cutoff(k)) else { continue };
             let is_best = self.best.offer(batch.point(k), value);
             let wanted = batch.kind() == EvaluationKind::Residuals;
-            // A cost that was known without residuals may be evaluated again with them.
+            // A cost without residuals may be evaluated again with them.
             if is_best || wanted && self.best.get() == Some((batch.point(k), value)) {
                 self.best_residuals.clear();
                 self.best_residuals.extend_from_slice(if wanted { &answer.residuals } else { &[] });
@@ -165,7 +165,7 @@ impl Ledger {
         self.n_early.saturating_sub(self.n_reached)
     }
 
-    /// Returns the number of evaluations started ahead of need that have not been useful so far.
+    /// Returns the number of evaluations started speculatively that have not been useful so far.
     pub(crate) fn n_in_vain(&self) -> usize {
         (self.n_guessed as usize).saturating_sub(self.n_adopted + self.n_reached)
     }

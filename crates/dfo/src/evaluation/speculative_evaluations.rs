@@ -1,5 +1,5 @@
-//! Speculative evaluations in progress. They use workers that the path does not need and are never awaited.
-//! They are cancelled when the path can no longer reach them.
+//! Speculative evaluations in progress. They use workers that the path does not need, and the run never waits
+//! for them. They are cancelled when the path can no longer reach them.
 
 use super::counted_batch::{CountedBatch, UnderWay};
 use super::evaluator::{CutoffUse, Evaluator};
@@ -18,7 +18,7 @@ const FIRST_WASTE: usize = 16;
 /// Number of workers up to which `WASTE` applies.
 const FEW_WORKERS: f64 = 64.0;
 
-/// An evaluation started ahead of need.
+/// An evaluation started speculatively.
 #[derive(Debug)]
 struct SpeculativePoint {
     x: Vec<f64>,

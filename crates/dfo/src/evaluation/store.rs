@@ -1,6 +1,6 @@
 //! Store of evaluated points, by the bits of the point. It contains evaluations that the run has counted;
-//! their number is limited, and the oldest are evicted first. It also contains early evaluations, made ahead
-//! of need or before the run was resumed, which count when the path reaches them.
+//! their number is limited, and the oldest are evicted first. It also contains early evaluations, made
+//! speculatively or before the run was resumed, which count when the path reaches them.
 
 use super::evaluator::CutoffUse;
 use crate::outcome::answer::{Answer, EvaluationKind, Outcome};
@@ -9,7 +9,7 @@ use crate::problem::objective::Query;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap, VecDeque};
 
-/// First id of points evaluated ahead of need. Ids of the path count from 0.
+/// First id of points evaluated speculatively. Ids of the path count from 0.
 pub(crate) const FIRST_ID: u64 = 1 << 63;
 
 /// Maximum number of early evaluations, and maximum total number of their residuals. The path reaches a point

@@ -53,7 +53,7 @@ struct Queue {
 }
 
 /// Starts the threads of a run, which end before the scope `run` does. Starts fewer threads if the system
-/// refuses the requested number.
+/// does not provide the requested number.
 pub(crate) fn pools<'scope>(run: &'scope Scope<'scope, '_>, workers: usize) -> Vec<ThreadPool> {
     let (mut pools, mut left, mut size) = (Vec::new(), workers, MOST_IN_POOL);
     while left > 0 && size > 0 {

@@ -61,7 +61,7 @@ impl Batch {
         self.n_certain = self.len();
     }
 
-    /// Returns the number of points ahead of need that the path will reach.
+    /// Returns the number of speculative points that the path will reach.
     pub(crate) fn n_certain(&self) -> usize {
         self.n_certain
     }
@@ -455,7 +455,7 @@ pub trait AnswersSoFar {
     /// Returns the answer to point `k` of the last batch, if it is available.
     fn answer(&self, k: usize) -> Option<&Answer>;
 
-    /// Returns the answer to this query at a point evaluated ahead of need.
+    /// Returns the answer to this query at a point evaluated speculatively.
     fn ahead(&self, x: &[f64], query: &Query<'_>) -> Option<Answer>;
 }
 
@@ -570,7 +570,7 @@ pub struct MethodDetails<'a> {
     pub settled: bool,
     /// Name of the batch plan in use.
     pub plan: &'static str,
-    /// Number of points to evaluate ahead of need.
+    /// Number of speculative points.
     pub lookahead: Lookahead,
     /// Seed in use, for methods that draw random numbers.
     pub seed: Option<u64>,

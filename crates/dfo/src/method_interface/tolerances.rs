@@ -17,7 +17,7 @@ pub struct Limits {
     /// Wall-clock time. No evaluation starts after it.
     pub max_time: Option<Duration>,
     /// Cost at or below which an evaluation of the path ends the run. Later points evaluated together with
-    /// it count as made ahead of need.
+    /// it count as made speculatively.
     pub target: Option<f64>,
     /// Fraction of failed evaluations above which the run ends, from 0 to 1. Checked after at least 20
     /// evaluations.
@@ -26,7 +26,7 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// Sets evaluations and iterations if no other limit than the target and the failed fraction is set.
+    /// Sets evaluations and iterations if no limit except the target and the failed fraction is set.
     pub(crate) fn fill(&mut self, evaluations: Option<usize>, iterations: Option<usize>) {
         if (self.max_evaluations, self.max_iterations, self.max_time) == (None, None, None) {
             (self.max_evaluations, self.max_iterations) = (evaluations, iterations);

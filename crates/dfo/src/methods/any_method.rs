@@ -463,7 +463,7 @@ impl AnyMethod {
     }
 
     /// Returns the options of this method by name, in the form that [`with_options`](Self::with_options)
-    /// accepts. For `auto`, returns only the options that were set.
+    /// accepts. For `auto`, returns only the options set.
     ///
     /// # Errors
     /// Returns an error if the options cannot be serialised.
@@ -524,7 +524,7 @@ impl AnyMethod {
 }
 
 impl Auto {
-    /// Returns the method for a problem with the options that were set, and the reason. Options that only
+    /// Returns the method for a problem with the options set, and the reason. Options that only
     /// Nelder-Mead supports select Nelder-Mead, if it can solve the problem.
     fn choose(&self, class: &ProblemClass<'_>) -> Result<(AnyMethod, String), Error> {
         let simplex = AnyMethod::from(NelderMead::default());

@@ -284,7 +284,7 @@ impl BarrierState {
             let cutoff = batch.cutoff(k);
             if cutoff < f64::INFINITY {
                 let barrier = mu * self.barrier(batch.point(k));
-                // The slack covers rounding: a stopped evaluation must imply that the search rejects the sum.
+                // The slack covers rounding, because a stopped evaluation must imply that the search rejects the sum.
                 let slack = 4.0 * f64::EPSILON * (cutoff.abs() + barrier);
                 batch.set_cutoff(k, (cutoff - barrier + slack).max(best));
             }

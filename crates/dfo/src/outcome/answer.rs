@@ -93,7 +93,7 @@ impl Outcome {
 pub struct Failure {
     /// Kind of the failure.
     pub kind: FailureKind,
-    /// Reason in words. Reports count equal texts together, so leave out text that changes with each
+    /// Reason in words. Reports count equal reasons together, so omit details that change with each
     /// evaluation.
     pub message: String,
 }
@@ -184,7 +184,7 @@ impl Answer {
         !(without && matches!(self.outcome, Outcome::Value(_)))
     }
 
-    /// Returns a copy without residuals that were not requested.
+    /// Returns a copy with only the requested values.
     pub(crate) fn only(&self, kind: EvaluationKind) -> Self {
         let residuals = if kind == EvaluationKind::Residuals { self.residuals.clone() } else { Vec::new() };
         Self { outcome: self.outcome.clone(), residuals, ..*self }
@@ -238,7 +238,7 @@ impl Answers {
         self.outcomes.is_empty()
     }
 
-    /// Returns the outcomes in request order. Points that were not evaluated have [`Outcome::Skipped`].
+    /// Returns the outcomes in request order. Unevaluated points have [`Outcome::Skipped`].
     pub fn outcomes(&self) -> &[Outcome] {
         &self.outcomes
     }

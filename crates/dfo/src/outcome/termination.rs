@@ -29,8 +29,8 @@ pub enum Termination {
     AllFailed,
     /// The fraction of failed evaluations exceeded its limit.
     TooManyFailed,
-    /// The search made no progress for long: many generations without a better point, or only points that
-    /// were already known.
+    /// The search made no progress for long: many generations without a better point, or only repeated
+    /// points.
     Stalled,
     /// All parameters are fixed, and the only point was evaluated.
     AllFixed,

@@ -5,7 +5,7 @@ use crate::values::encoding::numbers;
 use serde::{Deserialize, Serialize};
 
 /// Evaluations of a run. Contains every evaluation of the path in request order, which is the same for any
-/// number of workers. Also contains the evaluations that were made ahead of need and not needed. If the trace
+/// number of workers. Also contains the speculative evaluations that were not needed. If the trace
 /// was limited, contains only the last ones of both kinds.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Trace {
@@ -112,7 +112,7 @@ mod columns {
     }
 }
 
-/// An evaluation made ahead of need.
+/// An evaluation made speculatively.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct SpeculativeEntry {
     pub(crate) id: u64,
@@ -129,7 +129,7 @@ pub struct TraceEntry<'a> {
     pub x: &'a [f64],
     /// Outcome of the evaluation.
     pub outcome: &'a Outcome,
-    /// Id of the point in the run; at least 2^63 if it was evaluated ahead of need.
+    /// Id of the point in the run; at least 2^63 if it was evaluated speculatively.
     pub id: u64,
     /// Index of the batch.
     pub batch: u64,
@@ -262,7 +262,7 @@ impl Trace {
             .map(move |(k, r)| r.entry(&self.points[(first + k) * self.n..(first + k + 1) * self.n]))
     }
 
-    /// Returns the evaluations made ahead of need that the path never reached, in the order in which this
+    /// Returns the evaluations made speculatively that the path never reached, in the order in which this
     /// became known. Their number and selection may depend on the number of workers and on the duration of
     /// evaluations.
     pub fn speculative(&self) -> impl ExactSizeIterator<Item = TraceEntry<'_>> {

@@ -53,7 +53,7 @@ pub struct Query<'a> {
     /// objective may stop and return [`Outcome::Above`] with this value.
     pub cutoff: f64,
     /// Id of the point, counted over the run; the same for any number of workers. At least 2^63 if the point
-    /// is evaluated ahead of need.
+    /// is evaluated speculatively.
     pub id: u64,
     /// Index of the batch that the point belongs to.
     pub batch: u64,

@@ -72,9 +72,9 @@ pub(crate) struct Drive {
     batch: Batch,
     answers: Vec<Answer>,
     n_missing: usize,
-    /// Index of the first point that is known to end the run. Later points are not awaited.
+    /// Index of the first point that is known to end the run. The run does not wait for later points.
     end: usize,
-    /// Number of points of the path that were still being evaluated elsewhere when the run had to end.
+    /// Number of points of the path still being evaluated elsewhere when the run had to end.
     n_left: usize,
     /// Number of losses of each point of this batch that the engine lost, by id.
     losses: HashMap<u64, u32>,
@@ -434,7 +434,8 @@ impl Drive {
         }
     }
 
-    /// Stores an answer. If it ends the run, later points are cancelled, and only earlier points are awaited.
+    /// Stores an answer. If it ends the run, later points are cancelled, and the run waits only for earlier
+    /// points.
     fn fill(&mut self, k: usize, answer: Answer, evaluator: &mut dyn Evaluator) {
         self.answers[k] = answer;
         if k > self.end {

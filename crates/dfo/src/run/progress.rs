@@ -11,7 +11,7 @@ pub struct Progress<'a> {
     pub n_iterations: usize,
     /// Evaluations of the path so far.
     pub n_evaluations: usize,
-    /// Additional calls of the objective so far, made ahead of need.
+    /// Additional calls of the objective so far, made speculatively.
     pub n_speculative: usize,
     /// Failed evaluations so far.
     pub n_failed: usize,

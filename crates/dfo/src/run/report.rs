@@ -56,7 +56,7 @@ pub struct Report {
     /// was only known to be above a lower cutoff, the point is evaluated again outside the budget and the
     /// trace. Therefore cutoffs do not change any count.
     pub n_cached: usize,
-    /// Number of additional calls of the objective that were made ahead of need and were not needed. May
+    /// Number of additional, speculative calls of the objective that were not needed. May
     /// depend on the number of workers and on the duration of evaluations.
     pub n_speculative: usize,
     /// Reason why the run ended.

@@ -17,7 +17,7 @@ const JUMPS: f64 = 0.1;
 /// `min(1, p(new) / p(old))`. Then the other half moves. The points of one half are independent of each
 /// other, so they can be evaluated in parallel.
 ///
-/// The move is that of ter Braak (Statistics and Computing 16, 2006). The two halves come from
+/// The move follows ter Braak (Statistics and Computing 16, 2006). The two halves come from
 /// Foreman-Mackey, Hogg, Lang and Goodman (PASP 125, 2013). Affine maps of the parameters do not change the
 /// efficiency. Gamma is `2.38 / sqrt(2 n)`, times a random factor between 0.5 and 1.1; in one move of ten it
 /// is 1. On normal densities with 2 to 20 parameters, a curved and a bimodal density, this needs 1.7 to 170

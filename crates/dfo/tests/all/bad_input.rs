@@ -206,7 +206,7 @@ fn error_names_bounds_when_discrete_parameter_has_no_value() {
 }
 
 #[test]
-fn errors_name_option_and_its_range() {
+fn errors_report_option_and_range() {
     let run = || minimize(sum).start(&[1.0, 2.0]).bounds(&[0.0; 2], &[5.0; 2]).unwrap();
     for mu in [1e308, f64::INFINITY, f64::NAN, 0.0, -1.0] {
         let (e, text) = error(run().method(Barrier::default().mu(mu)).run());

@@ -289,7 +289,7 @@ fn answers_are_kept_from_the_first_evaluation() {
             let run = described(minimize_by(dying), &named(name), (6, 120)).checkpoint(checkpoint());
             assert!(std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| run.run())).is_err());
 
-            // With one worker, no evaluation starts ahead of need.
+            // With one worker, no evaluation starts speculatively.
             let (clocked, seen) = Clocked::new(1, |_| 1.0);
             let run = described(minimize_by(clocked), &named(name), (6, 120));
             let report = run.checkpoint(checkpoint().resume(Resume::Require)).run().unwrap();

@@ -613,7 +613,7 @@ fn automatic_plan_depends_on_stated_workers_and_can_be_given_back() {
         for other in [1, 2, 8] {
             assert_eq!(reported(&report), reported(&run(other, given.clone())), "{workers} {other}");
         }
-        // The checkpoint contains the plan: a run continues on it with any number of workers.
+        // The checkpoint contains the plan, so a run continues on it with any number of workers.
         let at = || Checkpoint::new(folder.path().join(workers.to_string())).interval(Duration::ZERO);
         let start = |workers: usize| {
             let run = minimize(residuals(chained)).start(&[-1.2, 1.0]).workers(workers);

@@ -27,7 +27,7 @@ fn rastrigin(x: &[f64]) -> f64 {
     x.iter().map(|x| x * x - 10.0 * (std::f64::consts::TAU * x).cos() + 10.0).sum()
 }
 
-/// Counts the minima that were found, out of four.
+/// Counts the minima found, out of four.
 fn found(report: &Report) -> usize {
     let near = |m: &[f64; 2], x: &[f64]| (m[0] - x[0]).abs() < 1e-3 && (m[1] - x[1]).abs() < 1e-3;
     HIMMELBLAU.iter().filter(|m| report.optima.iter().any(|o| near(m, &o.x) && o.cost < 1e-6)).count()

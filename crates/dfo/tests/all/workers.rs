@@ -1,5 +1,5 @@
 //! Point, cost, counts and iterations are the same for any number of workers and every stop except time
-//! limits. Points evaluated ahead of need have no effect until the path reaches them.
+//! limits. Points evaluated speculatively have no effect until the path reaches them.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::common;
@@ -97,7 +97,7 @@ fn result_is_independent_of_number_of_workers() {
     }
 }
 
-/// An abort at a point that is only evaluated ahead of need does not end the run.
+/// An abort at a point that is only evaluated speculatively does not end the run.
 #[test]
 fn abort_counts_only_when_path_reaches_it() {
     let path = minimize(rosenbrock).start(&[-1.2, 1.0]).max_evaluations(60).run().unwrap();

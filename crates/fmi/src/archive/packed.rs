@@ -51,7 +51,7 @@ impl Part {
     }
 }
 
-/// An archive that has been listed.
+/// An archive whose entries have been listed.
 #[derive(Debug)]
 pub(super) struct Packed {
     path: PathBuf,
@@ -63,7 +63,7 @@ pub(super) struct Packed {
     unpacked: Mutex<Unpacked>,
 }
 
-/// Entries that have been unpacked.
+/// Unpacked entries.
 #[derive(Debug, Default)]
 struct Unpacked {
     folder: Option<PrivateFolder>,
@@ -194,7 +194,7 @@ impl Packed {
         Source { path: &self.path, file: &self.file, cancel }
     }
 
-    /// Rejects a file that has been modified, because it may now be a different archive.
+    /// Rejects a modified file, because it may now be a different archive.
     fn check_unchanged(&self) -> Result<()> {
         let now = self.file.metadata().map_err(FmiError::io("read", &self.path))?;
         let now = platform::file_identity(&now);

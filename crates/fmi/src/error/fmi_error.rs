@@ -95,7 +95,7 @@ pub enum FmiError {
         path: PathBuf,
         /// Counted quantity.
         what: &'static str,
-        /// Count that was found (lower bound).
+        /// Count found (lower bound).
         found: u64,
         /// Maximum count.
         limit: u64,
@@ -322,16 +322,16 @@ pub enum FmiError {
         /// Reason.
         reason: &'static str,
     },
-    /// A parameter does not keep the value that was set, because the model overrides it.
+    /// A parameter does not keep its assigned value, because the model overrides it.
     #[error(
         "{name} was set to {given}, but is {found} after the initialization. The model computes the value \
-         itself or ignores the value that was set",
+         itself or ignores the given value",
         given = Number(*.given), found = Number(*.found)
     )]
     NotTaken {
         /// Name of the parameter.
         name: String,
-        /// Value that was set.
+        /// Assigned value.
         given: f64,
         /// Value after the initialization.
         found: f64,

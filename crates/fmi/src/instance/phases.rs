@@ -199,7 +199,7 @@ impl<P, K> Instance<P, K> {
     }
 
     /// Saves the complete state of the instance. The saved state includes pending time events and clock
-    /// ticks, and values that were set but are not in effect yet.
+    /// ticks, and assigned values that are not yet in effect.
     ///
     /// # Errors
     /// Returns an error if the FMU does not support saved states, or returns an error.

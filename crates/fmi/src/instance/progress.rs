@@ -23,7 +23,7 @@ pub(crate) struct Progress {
     pub(super) floor: Option<f64>,
     /// Event indicators before inputs were set in continuous-time mode.
     pub(super) before_inputs: Option<Vec<f64>>,
-    /// Intervals that were set for clocks, with the variable indices of the clocks.
+    /// Intervals set for clocks, with the variable indices of the clocks.
     pub(super) intervals: Vec<(usize, Interval)>,
     /// Clocks whose ticks the importer schedules, and their next ticks.
     pub(super) clocks: Arc<[TimedClock]>,

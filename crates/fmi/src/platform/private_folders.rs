@@ -83,8 +83,8 @@ pub(crate) fn file_of_user() -> io::Result<File> {
 }
 
 /// Removes write permission for the group from a folder. `user_file` is a file of this user. Returns an error
-/// if all users may write to the folder, or if it has another owner than `user_file`. Other users may have
-/// written files there.
+/// if all users may write to the folder, or if its owner is not the owner of `user_file`. Other users may
+/// have written files there.
 pub(crate) fn keep_others_out(folder: &Path, user_file: &File) -> io::Result<()> {
     #[cfg(unix)]
     {

@@ -413,7 +413,7 @@ mod tests {
         let environment = Environment::new(&log);
         enter(&environment);
         let address: *mut c_void = (&raw const environment).cast_mut().cast();
-        // SAFETY: the environment is alive, the texts end in NUL or are NULL.
+        // SAFETY: the environment is alive, the strings end in NUL or are NULL.
         unsafe {
             fmufit_fmi3_log(address, 3, c"cat".as_ptr(), c"100 %s".as_ptr());
             fmufit_fmi3_log(address, 0, null(), null());

@@ -133,7 +133,7 @@ impl Functions {
         answer
     }
 
-    /// Queries the result of a step that was not completed.
+    /// Queries the result of an incomplete step.
     ///
     /// # Safety
     /// As for the methods of [`Version`](super::versioned_functions::Version).

@@ -35,7 +35,7 @@ pub(super) struct Shared {
 /// fields change with every call of the FMU.
 #[repr(C, align(128))]
 struct Turns {
-    /// Number of the last request that was sent.
+    /// Number of the last request sent.
     requested: AtomicU32,
     /// Number of the last request whose answer was sent.
     answered: AtomicU32,

@@ -29,7 +29,7 @@ pub(super) fn note_kept() {
     HAS_KEPT.store(true, Ordering::Relaxed);
 }
 
-/// True if this process has instances that were not freed. The process should then be replaced.
+/// True if this process has unfreed instances. The process should then be replaced.
 pub(crate) fn has_kept_instances() -> bool {
     HAS_KEPT.load(Ordering::Relaxed)
 }

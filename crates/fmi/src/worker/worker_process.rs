@@ -19,7 +19,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Time between two checks for cancellation and limits while an answer is awaited.
+/// Time between two checks for cancellation and limits during the wait for an answer.
 const LOOK: Duration = Duration::from_millis(10);
 
 /// Time allowed for the answer after the simulation of a worker has reached the time limit.

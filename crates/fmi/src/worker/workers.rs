@@ -128,8 +128,8 @@ pub struct PinnedProcess {
 }
 
 impl PinnedProcess {
-    /// Sends a request, reads the answer with `accept`, and returns the result with the quirks that were
-    /// found in the model. No request is repeated after a failure.
+    /// Sends a request, reads the answer with `accept`, and returns the result with the quirks found in
+    /// the model. No request is repeated after a failure.
     ///
     /// # Errors
     /// Returns [`FmiError::ReportedError`] if the worker reports an error, and [`FmiError::WorkerEnded`] if
@@ -301,7 +301,7 @@ impl Workers {
     }
 
     /// Sends a request to a worker with `load` loaded, and reads the answer with `accept`. Returns the result
-    /// with the quirks that were found in the model. A worker whose answer is not accepted is ended.
+    /// with the quirks found in the model. A worker whose answer is not accepted is ended.
     ///
     /// If a worker ends for a reason other than a time limit, the request is repeated once in a fresh worker,
     /// unless `whom` requests a fresh one. It is also repeated if a used worker reports an error of its

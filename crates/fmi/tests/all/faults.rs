@@ -243,7 +243,7 @@ fn constant_inputs_are_set_in_initialization_mode() {
     let fmu = folder.open();
     let by_hand = fmu.instantiate().unwrap().set("u", 2.0).unwrap_err();
     assert!(by_hand.to_string().contains("inputs are set in initialization mode"), "{by_hand}");
-    // x' = u, as a start value and as a parameter of the runs, on a new instance and on one that was reset.
+    // x' = u, as a start value and as a parameter of the runs, on a new instance and on a reset one.
     let options = SimulateOptions::new().start_value("x", 0.0).ncp(1);
     let result = fmu.simulate(&options.clone().start_value("u", 2.0)).unwrap();
     assert!((result.get("y").unwrap()[1] - 2.0).abs() < 1e-12);

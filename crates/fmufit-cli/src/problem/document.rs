@@ -103,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_have_their_lines_and_outputs_their_order() {
+    fn values_keep_line_numbers_and_outputs_keep_order() {
         let text = "model = \"a.fmu\"\n\n[[experiments]]\ndata = 'x'\noutputs = { z = \"1\", \"a.b\" = \"2\" }\n[fit]\nmax_time = 1_0.5\nn = -3\n";
         let Ok(Document { record, lines }) = Document::parse(text) else { panic!("{text}") };
         let Some(Value::List(experiments)) = record.get("experiments") else { panic!("{record:?}") };

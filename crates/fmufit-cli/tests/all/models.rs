@@ -199,7 +199,7 @@ fn simulate_names_unusable_arguments() {
 }
 
 #[test]
-fn warning_names_invalid_library_when_sources_replace_it() {
+fn warning_reports_invalid_library_when_sources_replace_it() {
     let folder = Folder::with_model("dahlquist");
     let file = std::fs::File::open(folder.path("model.fmu")).unwrap();
     zip::ZipArchive::new(file).unwrap().extract(folder.path("decay")).unwrap();

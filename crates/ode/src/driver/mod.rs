@@ -251,7 +251,7 @@ impl Run<'_> {
         self.reached_end()
     }
 
-    /// Records a state that is not finite if the system refused to provide its states.
+    /// Records a state that is not finite if the system could not provide its states.
     fn with_states(&mut self, outcome: CallResult<EventOutcome>) -> Step<EventOutcome> {
         if matches!(outcome, Err(CallError::Discard)) {
             self.not_finite = NotFinite::first(Evaluated::State, self.t, &self.space.x);

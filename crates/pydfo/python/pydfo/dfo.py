@@ -1,4 +1,4 @@
-"""Functions for scripts that were written for the tool of the 2012 paper: ``from pydfo import dfo``."""
+"""Functions for scripts written for the tool of the 2012 paper: ``from pydfo import dfo``."""
 
 from __future__ import annotations
 

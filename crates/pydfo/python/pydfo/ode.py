@@ -268,7 +268,7 @@ def solve(
     OdeResult
         Fields ``t``, ``y``, ``t_events``, ``y_events``, ``sol``, ``status``, ``message``, ``success``, ``nfev``,
         ``njev``, ``nlu`` and ``stats``. If the integration fails (steps too small, a limit), ``success`` is False,
-        ``message`` states the reason, and the result contains the part that was computed.
+        ``message`` states the reason, and the result contains the computed part.
 
     Warns
     -----
@@ -280,7 +280,7 @@ def solve(
     ValueError, TypeError
         Invalid arguments, or a function that returns a wrong shape or type.
     Interrupted
-        Ctrl-C was pressed. This KeyboardInterrupt contains the part that was computed in ``result``.
+        Ctrl-C was pressed. This KeyboardInterrupt contains the computed part in ``result``.
     Exception
         Exceptions of a function propagate unchanged, with the part that was computed in ``partial_result``.
 

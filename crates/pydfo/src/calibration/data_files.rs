@@ -130,7 +130,7 @@ impl PyTable {
         }
     }
 
-    /// Returns a copy of this recording that was read from a file. Records then contain the hash of the file.
+    /// Returns a copy of this recording, read from a file. Records then contain the hash of the file.
     fn of_file(&self, py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         let watch = InterruptGuard::without_handler(py);
         match watch.run_here(|context| self.inner.clone().of_file(&path, context)) {
@@ -152,7 +152,7 @@ impl PyTable {
         Ok((slf.get_type().getattr("restore")?, (PyBytes::new(slf.py(), &state),)))
     }
 
-    /// Names of the columns other than the times, including those that were left out.
+    /// Names of the columns other than the times, including the omitted ones.
     fn names(&self) -> Vec<&str> {
         self.inner.all_names().collect()
     }

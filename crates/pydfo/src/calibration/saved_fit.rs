@@ -11,7 +11,7 @@ use calibration::SavedFit;
 use pyo3::prelude::*;
 use std::path::PathBuf;
 
-/// Returns the inputs of a saved fit that were driven by functions: index and name of the experiment, and
+/// Returns the inputs of a saved fit driven by functions: index and name of the experiment, and
 /// input.
 #[pyfunction]
 pub(crate) fn functions_of_fit(py: Python<'_>, path: PathBuf) -> PyResult<Vec<(usize, String, String)>> {

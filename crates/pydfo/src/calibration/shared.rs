@@ -17,7 +17,7 @@ pub(crate) struct Shared {
 }
 
 impl Shared {
-    /// Wraps a calibration that was built. Raises the exception of a function of time, if any.
+    /// Wraps a new calibration. Raises the exception of a function of time, if any.
     pub(crate) fn finish(
         py: Python<'_>,
         built: Result<Calibration, CalibrationError>,

@@ -106,7 +106,8 @@ impl Fmu {
         Ok(PyBytes::new(py, &bytes))
     }
 
-    /// Returns an FMU with this content that was at `path`, of which only the model description is available.
+    /// Returns an FMU with this content, originally at `path`, of which only the model description is
+    /// available.
     #[staticmethod]
     fn described(
         py: Python<'_>,

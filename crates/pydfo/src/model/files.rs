@@ -40,7 +40,7 @@ pub(crate) fn watched<T: Send>(py: Python<'_>, work: impl FnOnce(CancelRequest) 
     if watch.stop().is_requested() { Err(watch.interrupted()) } else { Ok(done) }
 }
 
-/// Closes the FMUs that were kept open. Called when the interpreter ends, so that no unpacked folder remains.
+/// Closes the FMUs kept open. Called when the interpreter ends, so that no unpacked folder remains.
 #[pyfunction]
 pub(crate) fn close_unused(py: Python<'_>) {
     py.detach(|| OPEN.clear());
@@ -82,7 +82,7 @@ pub(crate) fn example_names() -> Vec<&'static str> {
     example_models::example_names().collect()
 }
 
-/// Removes built libraries and packed examples from the disk, and closes the FMUs that were kept open.
+/// Removes built libraries and packed examples from the disk, and closes the FMUs kept open.
 #[pyfunction]
 pub(crate) fn clear_caches(py: Python<'_>) -> PyResult<()> {
     let done = py.detach(|| {

@@ -44,7 +44,7 @@ pub(crate) struct Model {
 struct ModelState {
     session: Session,
     kind: InterfaceChoice,
-    /// Processes that simulate the model, once one has been needed.
+    /// Processes that simulate the model; created on demand.
     process: Option<ModelProcess>,
     /// Options of the last simulation, if it ran in a process.
     last: Option<SimulateOptions>,
@@ -229,7 +229,7 @@ impl Model {
         py.detach(|| matches!(*lock(&self.slot), Slot::Closed))
     }
 
-    /// Names of the variables that were set.
+    /// Names of the variables with assigned values.
     fn names_set(&self, py: Python<'_>) -> PyResult<Vec<String>> {
         // The thread that holds the lock may wait for the interpreter lock.
         py.detach(|| {
@@ -237,7 +237,7 @@ impl Model {
         })
     }
 
-    /// Names and values of the variables that were set.
+    /// Names and values of the assigned variables.
     fn values_set<'py>(&self, py: Python<'py>) -> PyResult<Vec<(String, Bound<'py, PyAny>)>> {
         let set: Vec<(String, fmi::Value)> = py.detach(|| {
             self.with_session(|state| {

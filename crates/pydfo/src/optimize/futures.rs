@@ -51,7 +51,7 @@ struct Futures {
     stop: Arc<EndRequest>,
     width: usize,
     under_way: HashMap<u64, Vec<f64>>,
-    /// Points that the executor refused, and the exceptions.
+    /// Points that the executor rejected, and the exceptions.
     refused: VecDeque<(u64, PyErr)>,
 }
 

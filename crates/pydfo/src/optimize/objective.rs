@@ -37,7 +37,7 @@ impl PyObjective {
         Self { function, failures_allowed, takes_cutoff, loss, stop, raised: Mutex::default() }
     }
 
-    /// Returns `CutoffUse::Yes` if costs above the cutoff count as given up.
+    /// Returns `CutoffUse::Yes` if evaluations stop above the cutoff.
     pub(crate) fn cutoff_use(&self) -> CutoffUse {
         if self.takes_cutoff { CutoffUse::Yes } else { CutoffUse::No }
     }

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 /// deviations by this factor moves a parameter by about the same part of its standard error.
 const MODEL_SETTLED: f64 = 1e-4;
 
-/// The same with estimated coefficients, whose own errors are a hundred times larger.
+/// The limit for estimated coefficients, whose errors are a hundred times larger.
 const FITTED_MODEL_SETTLED: f64 = 1e-3;
 
 /// Minimum degrees of freedom for an estimate from the residuals.

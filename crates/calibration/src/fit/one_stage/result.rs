@@ -66,7 +66,7 @@ pub struct Fit {
     /// are no priors and no estimate, the cost is not a sum of squares, or there was no time for a search.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise: Option<FitNoise>,
-    /// Relative tolerance that was chosen for the simulations. `None` if the user specified it, or if the fit
+    /// Relative tolerance chosen for the simulations. `None` if the user specified it, or if the fit
     /// used the tolerance of the calibration.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tolerance: Option<ChosenTolerance>,

@@ -11,7 +11,7 @@ use dfo::{RobustLoss, ToleranceMeasure};
 use fmi::InterfaceKind;
 use serde::{Deserialize, Serialize};
 
-/// Relative tolerance that was chosen for the simulations of a fit if the user did not specify one.
+/// Relative tolerance chosen for the simulations of a fit if the user did not specify one.
 ///
 /// Simulations with a tolerance T are assumed to change the residuals by T times the measurements, a change
 /// with the norm `d`. Near the best values, the N residuals are noise of size s. The cost then has the

@@ -29,7 +29,8 @@ impl LogDensity {
     /// Creates the density with the noise of a fit.
     ///
     /// # Errors
-    /// Returns an error if the fit minimised a robust loss, or a cost that is no likelihood of normal noise.
+    /// Returns an error if the fit minimised a robust loss, or a cost that is not a likelihood of normal
+    /// noise.
     pub(super) fn of_fit(calibration: &Calibration, fit: &Fit) -> Result<Self, CalibrationError> {
         let setup = |message: String| Err(CalibrationError::Setup(message));
         let is_likelihood = fit.objective == CostKind::Named(NamedCost::Likelihood).name();

@@ -270,7 +270,7 @@ fn profiled(fit: &Fit, held: &[usize], options: &ProfileOptions) -> Result<Vec<u
     }
     if let Some(index) = requested.iter().find(|i| !is_free(i)) {
         return setup(format!(
-            "parameter '{}' has no profile because it was not fitted (fixed, held or not continuous)",
+            "parameter '{}' has no profile because it was not fitted (fixed or not continuous)",
             fit.names[*index]
         ));
     }
@@ -299,7 +299,7 @@ fn sides_of(
     let side_of = |s: usize| if s.is_multiple_of(2) { BoundSide::Lower } else { BoundSide::Upper };
     let task = |s: usize, context: &RunContext<'_>| {
         let (origin, side) = (&origins[s / 2], side_of(s));
-        // Ignore a poisoned lock: the list is consistent at all times.
+        // Ignore a poisoned lock, because the list is consistent at all times.
         let lock = || saved.lock().unwrap_or_else(|e| e.into_inner());
         if let Some(side) = lock().of(origin.index, side) {
             return side.clone();

@@ -120,7 +120,7 @@ impl Distribution {
         }
     }
 
-    /// Shortens a step that was drawn from another distribution if it is too long for this one. Returns the
+    /// Shortens a step drawn from another distribution if it is too long for this one. Returns the
     /// squared length of `C^(-1/2) y`. Overwrites `along`.
     pub(super) fn inject(&self, step: &mut [f64], along: &mut [f64]) -> f64 {
         let squared = self.squared(step, along);

@@ -38,7 +38,7 @@ pub struct CmaRules {
     lag: usize,
     #[serde(default)]
     ahead: VecDeque<f64>,
-    /// Number of individuals of the last generation that were drawn from earlier distributions.
+    /// Number of individuals of the last generation drawn from earlier distributions.
     #[serde(default)]
     n_earlier: usize,
     /// The best point since the last restart, in working coordinates.

@@ -107,7 +107,7 @@ impl Adaptation {
         self.archive.len().checked_div(self.n).unwrap_or(0)
     }
 
-    /// Records a trial that was strictly better than a target with a known cost.
+    /// Records a trial with a cost strictly below a target with a known cost.
     pub(super) fn succeeded(&mut self, f: f64, cr: f64, gain: f64, target: &[f64]) {
         self.archive.extend_from_slice(target);
         self.successes.push(Success { f, cr, gain });

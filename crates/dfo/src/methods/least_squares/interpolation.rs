@@ -258,7 +258,7 @@ pub(super) fn combine(from: &mut [f64], residuals: &[&[f64]], base: &[f64], weig
     let whole: f64 = weights.iter().sum();
     for (block, from) in from.chunks_mut(AT_ONCE).enumerate() {
         let part = block * AT_ONCE..block * AT_ONCE + from.len();
-        // Four at a time: the block is read and written once for them.
+        // Four at a time, so that the block is read and written once for them.
         let (fours, rest) = residuals.as_chunks::<4>();
         let (four_weights, rest_weights) = weights.as_chunks::<4>();
         for (r, w) in fours.iter().zip(four_weights) {

@@ -113,8 +113,8 @@ impl LeastSquaresState {
     }
 }
 
-/// Returns the derivatives by regression on differences from a point with these residuals. Returns `None` if
-/// the points are in a plane, or if there are many residuals and the context has ended.
+/// Returns the derivatives from a regression on differences from a point with these residuals. Returns `None`
+/// if the points are in a plane, or if there are many residuals and the context has ended.
 fn regression(
     mut others: Vec<Neighbour<'_>>,
     residuals: &[f64],

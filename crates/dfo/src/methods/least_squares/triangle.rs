@@ -57,7 +57,7 @@ impl Triangle {
         }
     }
 
-    /// Updates the factor to that of `J + e g'` and `r + gamma e`. The vector is `e = Q w + rho q`, with a
+    /// Updates it to the factor of `J + e g'` and `r + gamma e`. The vector is `e = Q w + rho q`, with a
     /// direction `q` outside the range of `Q`. The component of `r` along `q` is `tau`.
     pub(super) fn change(&mut self, w: &[f64], rho: f64, tau: f64, g: &[f64], gamma: f64) {
         let n = w.len();

@@ -298,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn stepped_returns_another_value_when_step_is_too_wide_or_too_small() {
+    fn stepped_returns_different_value_when_step_is_too_wide_or_too_small() {
         assert_eq!(stepped(0.4, 5.0, (0.0, 1.0)), 1.0);
         assert_eq!(stepped(0.6, 5.0, (0.0, 1.0)), 0.0);
         assert!(stepped(1e20, 1.0, (f64::NEG_INFINITY, f64::INFINITY)) > 1e20);

@@ -146,7 +146,7 @@ impl NelderMeadState {
     }
 
     /// Returns the edge of a new simplex, in units of the parameter sizes, if a restart is required although
-    /// the tests passed. A restart is required if the old simplex is on a kink, or flat for another reason
+    /// the tests passed. A restart is required if the old simplex is on a kink, or flat for a reason other
     /// than a bound. The last restart, if any, must have lowered the cost by more than the f test allows.
     fn side_of_restart(&mut self, tests: &ToleranceTests) -> Option<f64> {
         let useless = self.f_restart.is_some_and(|f| f - tests.f_best <= tests.f_limit);

@@ -1,5 +1,5 @@
 //! Bounded Nelder-Mead with batches. The n+1 vertices form one batch, and so do the vertices of a shrink.
-//! Points of this iteration and of the next ones can be evaluated ahead of need.
+//! Points of this iteration and of the next ones can be evaluated speculatively.
 //!
 //! The rules are from Lagarias, Reeds, Wright and Wright (SIAM J. Optim. 9, 1998, section 2). A newer vertex
 //! ranks after older ones of equal cost, as in these rules. In five and more dimensions, the coefficients are
@@ -37,7 +37,7 @@
 //!
 //! **Cutoffs** are set only if they do not change a decision. The cutoff is the worst cost for the reflection
 //! and the inside contraction. For the expansion and the outside contraction, it is the cost of the
-//! reflection. Points ahead of need use the worst cost, except the expansion of this iteration, which uses
+//! reflection. Speculative points use the worst cost, except the expansion of this iteration, which uses
 //! the best cost. There is no cutoff while the worst vertex has failed, and none for starting and shrinking
 //! vertices. Steps that search for sizes use twice the cost at their start, or the lowest cost found along
 //! the parameter.

@@ -34,7 +34,7 @@ pub trait GenerationRules: Serialize + DeserializeOwned {
     /// Called when the first population is known.
     fn started(&mut self, pool: &mut Populations);
 
-    /// Returns how many points are evaluated ahead of need.
+    /// Returns how many points are evaluated speculatively.
     fn lookahead(&self) -> Lookahead {
         Lookahead::None
     }

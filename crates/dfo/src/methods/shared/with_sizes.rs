@@ -36,7 +36,7 @@ pub struct WithSizes<O: NeedsSizes> {
     options: O,
     setup: Setup,
     sizes: Option<SizeSearch>,
-    /// The search, and its setup with the point and sizes that were found.
+    /// The search, and its setup with the point and sizes found.
     search: Option<(Setup, O::Search)>,
     /// Line of each point of the last batch; `None` for the start point.
     roles: Vec<Option<usize>>,

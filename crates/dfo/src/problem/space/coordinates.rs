@@ -407,7 +407,7 @@ impl Space {
         if self.sine { self.units[k] } else { self.sizes[k] }
     }
 
-    /// Sets the size of a parameter without a box that was found during the search.
+    /// Sets the size, found during the search, of a parameter without a box.
     pub(crate) fn set_unit(&mut self, k: usize, size: f64) {
         if self.sine {
             self.units[k] = size;
@@ -418,7 +418,7 @@ impl Space {
         }
     }
 
-    /// True if two spaces are equal except for sizes that were found during the search.
+    /// True if two spaces are equal except for sizes found during the search.
     pub(crate) fn is_same_space(&self, other: &Self) -> bool {
         let mut completed = self.clone();
         let unknown = (0..self.n_free()).filter(|&k| self.size_unknown[k]);

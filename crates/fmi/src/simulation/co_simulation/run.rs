@@ -250,7 +250,7 @@ impl Run<'_, '_> {
         Ok(())
     }
 
-    /// Records whether a step to the stop time was refused. Returns true if the next run handles the stop
+    /// Records whether a step to the stop time was rejected. Returns true if the next run handles the stop
     /// time differently, so this run is repeated.
     fn note_last_step(&mut self, target: &Target, is_refused: bool) -> bool {
         let CoSimulationState { stop, is_stop_time_passed, .. } = *self.stepping;

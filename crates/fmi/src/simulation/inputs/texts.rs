@@ -24,8 +24,8 @@ impl TextInput {
     /// Returns the input with its distinct values, and the index of the value in each row.
     ///
     /// # Errors
-    /// Returns [`FmiError::WrongType`] if the variable or a value has another type. Also returns an error if
-    /// a string contains a NUL character.
+    /// Returns [`FmiError::WrongType`] if the variable or a value has a different type. Also returns an error
+    /// if a string contains a NUL character.
     pub(crate) fn new(variable: &Variable, rows: &[Value]) -> Result<(Self, Vec<f64>)> {
         let bad = |problem: String| FmiError::BadInput { name: variable.name.clone(), problem };
         let wrong = |value: &Value| wrong_type(variable, value, value.kind_name());

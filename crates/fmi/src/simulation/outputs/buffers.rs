@@ -74,7 +74,7 @@ pub(crate) struct OutputPlan {
     /// References of the states as variables, and the number of their values.
     states: (Vec<u32>, usize),
     groups: Vec<Group>,
-    /// Index of the first value of each array variable that was already added.
+    /// Index of the first value of each array variable already added.
     arrays: HashMap<(VariableKind, u32), usize>,
     texts: (Vec<u32>, usize),
     binaries: (Vec<u32>, usize),

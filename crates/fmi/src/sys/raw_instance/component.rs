@@ -255,7 +255,7 @@ impl RawInstance {
         })
     }
 
-    /// Enters initialization mode with the experiment that was set up.
+    /// Enters initialization mode with the experiment set up before.
     pub(crate) fn enter_initialization(&mut self) -> Outcome {
         let experiment = self.memory.experiment;
         run!(self, |library, c| library.version.enter_initialization(&library.functions, c, &experiment))

@@ -21,8 +21,8 @@
 //!     standard input is empty, and Ctrl-C in a terminal does not reach it. It inherits nothing else. It
 //!     ends, with all processes that it has started, when this process ends in any way.
 //!   - `end()` ends it with all its workers, their processes and their folders. Later calls of
-//!     `ProcessHandle::kill` for these workers return immediately. A copy of this process that was made by
-//!     `fork` ends nothing.
+//!     `ProcessHandle::kill` for these workers return immediately. A forked copy of this process ends
+//!     nothing.
 //! - `ProcessHandle`: a worker process.
 //!   - `arrived(id)` is called once with the number of the process ([`std::process::id`]) that the worker has
 //!     reported. Returns false if no worker of the starter has this number.
@@ -44,7 +44,7 @@
 //! # In the process that serves
 //!
 //! - `await_order(load)` is called first, while the process has one thread and has run no foreign code.
-//!   Returns the worker ([`Assigned`](super::handshake::Assigned)) in each process that is to be one, and
+//!   Returns the worker ([`Assigned`](super::handshake::Assigned)) in each process that becomes one, and
 //!   `None` in any other process, when it is not needed any more. A process that passes its state on to
 //!   workers calls `load` with the frame of `Starter::load`. `load` returns true if the frame has been
 //!   loaded. For the worker, it applies the [`Surroundings`](super::surroundings::Surroundings) of the order,

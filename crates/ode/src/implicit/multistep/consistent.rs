@@ -231,7 +231,7 @@ impl LeftSide {
 
     /// Implements `make_consistent` for sparse matrices, if the states can be divided into states with slopes
     /// and states without. Newton's method determines the slopes of the former and the values of the latter.
-    /// `None` if the system has another form or a higher index; states and slopes are then unchanged.
+    /// `None` if the system has a different form or a higher index; states and slopes are then unchanged.
     fn make_sparse_consistent(
         &mut self,
         equations: &mut Equations<'_>,

@@ -117,7 +117,7 @@ def seed(rng: int | np.random.Generator | None) -> int | None:
 def warm_start(value: Any, n: int) -> tuple[list[tuple[list[float], float]], str | None]:
     """Returns points, costs and their problem from a trace, from a result with one, or from points and costs.
 
-    Points and costs may include the problem if they are to be reused. Only the path of a trace is used, because it
+    Points and costs may include the problem, so that they can be reused. Only the path of a trace is used, because it
     does not depend on workers."""
     if value is None:
         return [], None

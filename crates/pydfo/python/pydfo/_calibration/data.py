@@ -141,7 +141,7 @@ def _columns(data: Any) -> dict[str, Any]:
 def _framed(frame: Any) -> dict[str, Any]:
     """Returns the columns of a pandas or polars data frame.
 
-    The index contains the times if it has the name of the times. It also contains the times if it contains dates or
+    The index contains the times if its name is the name of the times, or if it contains dates or
     durations and no column has that name. If there are two lines of names, the second contains the units."""
     table = {}
     for label in frame.columns:

@@ -176,7 +176,7 @@ class Fit(OptimizeResult):
         first simplex show effects, because they differ in one parameter. These simulations are not included in
         ``nfev`` or its limit. They are skipped after an interrupt or if the time is up. They are included in `stats`.
     skipped : list of str
-        Checks after the search that were skipped because the search was short. Simulations outside the search and the
+        Checks skipped after a short search. Simulations outside the search and the
         standard errors use at most a quarter of the evaluations of the search. At most four of them simulate the
         result. If "simulation of higher accuracy" was skipped, `Uncertainty.accurate_cost` is None.
     outputs : list of OutputFit
@@ -186,7 +186,7 @@ class Fit(OptimizeResult):
         RMS relative to the RMS at the start, on the same measurements.
     stages : list of Fit
         The fit of each stage; empty without stages. Standard errors of a stage are conditional, because the
-        parameters held by the stage are assumed known. ``success`` of the whole fit requires success of all its
+        parameters held fixed by the stage are assumed known. ``success`` of the whole fit requires success of all its
         stages. With or without stages, ``success`` is also False if one more least-squares step of all parameters
         lowers the cost; the first printed line reports it. This test needs standard errors.
     uncertainty : Uncertainty or None

@@ -1,4 +1,4 @@
-"""Profile likelihoods: the rise of the cost if one parameter is held away from its best value and the others are
+"""Profile likelihoods: the rise of the cost if one parameter is fixed away from its best value and the others are
 refitted."""
 
 from __future__ import annotations

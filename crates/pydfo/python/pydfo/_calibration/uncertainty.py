@@ -84,7 +84,7 @@ class Uncertainty:
     weakest : list of str
         Parameters of the combination that the data determine worst, if it has three or more and is relevant.
     identifiable : list of str
-        Parameters that the data determine if the others are held: their standard errors are below half of their
+        Parameters that the data determine if the others are fixed: their standard errors are below half of their
         values, and no correlation is 0.9 or more.
     findings : list of Finding
         Remarks on the uncertainty with their severity.
@@ -94,7 +94,7 @@ class Uncertainty:
         The cost, and the cost with a tenth of the relative tolerance, or with half the step of a fixed-step solver
         (None: that simulation failed).
     jacobian : ndarray, shape (m, n)
-        Derivatives of the residuals with respect to the parameters; zero for held parameters.
+        Derivatives of the residuals with respect to the parameters; zero for fixed parameters.
     n_simulations : int
         Number of points simulated.
     """
@@ -149,7 +149,7 @@ class Uncertainty:
         Returns
         -------
         ndarray, shape (n, 2)
-            Lower and upper ends. The ends coincide for held parameters and are infinite for undetermined parameters.
+            Lower and upper ends. The ends coincide for fixed parameters and are infinite for undetermined parameters.
         """
         return self._native.intervals(_values.number("level", level), _values.flag("corrected", corrected))
 

@@ -78,7 +78,7 @@ class LinearSystem:
     A, B, C, D : ndarray
         Shapes (states, states), (states, inputs), (outputs, states), (outputs, inputs); in the units of the model.
     states, inputs, outputs : list of str
-        Names, with elements of arrays one by one. Inputs and outputs are the continuous ones of type Real.
+        Names; each element of an array has its own name. Inputs and outputs are the continuous ones of type Real.
     """
 
     A: FloatArray
@@ -459,7 +459,7 @@ class Instance:
     def save_state(self) -> SavedState:
         """Returns a copy of the complete state of the instance for `restore_state`.
 
-        It includes the state of the FMU, the time, pending events and ticks, and values that were set but are not yet
+        It includes the state of the FMU, the time, pending events and ticks, and assigned values that are not yet
         in effect.
 
         Raises

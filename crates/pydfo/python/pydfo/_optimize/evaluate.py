@@ -360,7 +360,7 @@ class Resubmit:
 
 
 def executor_of(workers: Any) -> Any:
-    """Returns the executor for `workers`: itself, or one on a Dask client. Returns None if it is no executor.
+    """Returns the executor for `workers`: itself, or one on a Dask client. Returns None if it is not an executor.
 
     Raises TypeError for objects of joblib that are not executors, and suggests the object to pass instead."""
     if isinstance(workers, Resubmit):

@@ -130,7 +130,7 @@ def fmin(
         Absolute tolerance of the f test: the difference between the worst and the best vertex.
     max_iters, max_fevals : int, optional
         Exact limits on iterations and evaluations; default: no limit. They apply to ``nfev``, the
-        evaluations of a run with one worker. Calls ahead of need are counted in ``n_speculative``.
+        evaluations of a run with one worker. Speculative calls are counted in ``n_speculative``.
     disp : bool
         If True, print a line per iteration and how the run ended.
     nbr_cores : int, map-like or executor, optional
@@ -154,7 +154,7 @@ def fmin(
         "any": one of the two tests ends the run, as in the paper. "all": both tests must pass. A simplex that has not
         moved yet never passes.
     batch : {"auto", "serial", "ahead"} or int
-        Number of trial points that methods 1 and 2 evaluate at once, ahead of need. "auto" uses the most efficient
+        Number of trial points that methods 1 and 2 evaluate at once, speculatively. "auto" uses the most efficient
         number up to `nbr_cores`; "ahead" always uses the maximum. The simplices do not depend on it. Unneeded
         evaluations count only in ``n_speculative``.
     initial_simplex : array_like, optional

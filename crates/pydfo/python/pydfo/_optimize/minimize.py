@@ -48,7 +48,7 @@ def minimize(
     """Minimise a function of several variables without derivatives.
 
     Equal arguments and seeds give bit-for-bit the same path. This holds for any number and kind of workers, and for a
-    run that is interrupted and resumed from a checkpoint. Points that workers evaluate ahead of need are counted
+    run that is interrupted and resumed from a checkpoint. Points that workers evaluate speculatively are counted
     separately (``n_speculative``). Their results, including exceptions, have no effect unless the path reaches these
     points.
 
@@ -104,7 +104,7 @@ def minimize(
         seed in ``seed``.
     max_evaluations, max_iterations : int, optional
         Exact limits on the evaluations and iterations. The evaluations are those of a run with one worker (``nfev``);
-        calls ahead of need are counted in ``n_speculative``. If `max_evaluations`, `max_iterations` and `max_time`
+        speculative calls are counted in ``n_speculative``. If `max_evaluations`, `max_iterations` and `max_time`
         are all None, the defaults of the method apply. For Nelder-Mead, they are 5000 (n + 1) evaluations and
         1000 (n + 1) iterations.
     max_time : float, optional

@@ -47,7 +47,7 @@ class Progress:
     nit, nfev, nfail : int
         Complete iterations, evaluations of the path, and failed evaluations of the path so far.
     n_speculative : int
-        Further calls of the objective so far, made ahead of need.
+        Further calls of the objective so far, made speculatively.
     operation : str
         Operation of the iteration: "initial", "reflection", "expansion", "outside contraction", "inside contraction",
         "shrink", "parallel moves", "restart" or "generation".

@@ -47,8 +47,8 @@ STATUS: Final[dict[str, int]] = {
 class Trace:
     """Every evaluation of a run.
 
-    The evaluations of the path come first, in request order, and do not depend on the number of workers. The
-    speculative evaluations that were not needed follow.
+    The evaluations of the path come first, in request order, and do not depend on the number of workers. Unneeded
+    speculative evaluations follow.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Trace:
     above : ndarray, shape (m,)
         Lower bound of the cost of an abandoned evaluation; NaN for other evaluations.
     used : ndarray of bool, shape (m,)
-        True if the point is on the path of the method. False for speculative points that were not needed, and for
+        True if the point is on the path of the method. False for unneeded speculative points, and for
         evaluations cut short by the end of the run. These points are never returned as best.
     id, batch : ndarray of int, shape (m,)
         Sequence numbers of the point (from 2**63 on for speculative points) and of its batch.
@@ -185,7 +185,7 @@ class OptimizeResult:
         (`Resubmit`). Their points were evaluated again and count once. A run ends with status 6 if a point is lost three
         times.
     n_speculative : int
-        Number of further calls of the objective, made ahead of need and not needed. It may depend on the number of
+        Number of further calls of the objective, made speculatively and not needed. It may depend on the number of
         workers and on the duration of calls.
     n_cached : int
         Number of results that needed no call because the point was known. If only a lower cutoff was known to be

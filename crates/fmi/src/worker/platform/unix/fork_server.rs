@@ -118,7 +118,7 @@ impl Starter {
         }
     }
 
-    /// Returns the error for a worker that was not started. If the template has ended, the error contains the
+    /// Returns the error for a worker that failed to start. If the template has ended, the error contains the
     /// reason.
     pub(super) fn without_worker(&self, error: &str) -> FmiError {
         let reason = match self.end_in_words() {

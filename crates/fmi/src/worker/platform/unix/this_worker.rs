@@ -37,8 +37,8 @@ pub(super) fn become_worker(
 }
 
 /// Applies the surroundings to this process, a worker whose folder is `worker_folder`. Temporary files go to
-/// `worker_folder`. `worker_folder` becomes the working folder if the other one cannot be entered. No other
-/// thread may be running.
+/// `worker_folder`. `worker_folder` becomes the working folder if the original one cannot be entered. No
+/// other thread may be running.
 fn enter(surroundings: &Surroundings, worker_folder: &Path) -> io::Result<()> {
     if surroundings.folder.as_ref().is_none_or(|folder| std::env::set_current_dir(folder).is_err()) {
         std::env::set_current_dir(worker_folder)?;

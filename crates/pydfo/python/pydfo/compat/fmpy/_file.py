@@ -93,7 +93,7 @@ def _bytes_of_one(file: bytes) -> bytes:
 def read_file(file: bytes) -> DescriptionFile:
     """Returns the attributes in the bytes of a ``modelDescription.xml`` of FMI 2.0 or 3.0."""
     found, path = DescriptionFile(), list[str]()
-    # The attributes read here are ASCII in any encoding. Names and texts are not used.
+    # The attributes read here are ASCII in any encoding. Names and strings are not used.
     parser = expat.ParserCreate("iso-8859-1")
 
     def start(name: str, attributes: dict[str, str]) -> None:

@@ -1,4 +1,4 @@
-"""Files, plots and texts for simulations, as in FMPy."""
+"""Files, plots and strings for simulations, as in FMPy."""
 
 from __future__ import annotations
 

@@ -52,6 +52,6 @@ def variability_number(version: int, variability: str) -> int:
 
 
 def initial_number(version: int, initial: str | None) -> int:
-    """Returns PyFMI's number of an initial attribute."""
+    """Returns PyFMI's code for an initial attribute."""
     number = _INITIALS.index(initial) if initial in _INITIALS else FMI2_INITIAL_UNKNOWN
     return FMI3_Initial(number) if version == 3 else number

@@ -107,15 +107,15 @@ class DescribedModel:
         return self._scalar(variable_name).type
 
     def get_variable_causality(self, variable_name: str) -> int:
-        """Returns PyFMI's number of the causality of a variable."""
+        """Returns PyFMI's code for the causality of a variable."""
         return self._scalar(variable_name).causality
 
     def get_variable_variability(self, variable_name: str) -> int:
-        """Returns PyFMI's number of the variability of a variable."""
+        """Returns PyFMI's code for the variability of a variable."""
         return self._scalar(variable_name).variability
 
     def get_variable_initial(self, variable_name: str) -> int:
-        """Returns PyFMI's number of the initial attribute of a variable."""
+        """Returns PyFMI's code for the initial attribute of a variable."""
         return self._scalar(variable_name).initial
 
     def get_variable_description(self, variable_name: str) -> str:

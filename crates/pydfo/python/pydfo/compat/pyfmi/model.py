@@ -443,7 +443,7 @@ class FMUModelME1(_ModelExchange):
         )
 
     def initialize(self, *args: Any, **more: Any) -> None:
-        """Initializes the model at the time that was set."""
+        """Initializes the model at the current time."""
         super().initialize(*args, **more)
         self.event_update()
 
