@@ -5,7 +5,7 @@ each, with and without bounds. Everything is generated with SEED: measurement no
 normal deviation of 1 % of the range of each output. A start is each parameter times a factor between 1 / 2.5 and 2.5.
 Each side of a box is between 2 and 6 times the distance to the farther of truth and start. For every third parameter,
 the box ends before the minimum, so that a bound is active. Even numbers are for tuning, odd ones for assessment.
-Residuals are in units of the range of their output. The data differ from those of tests/problems/calibration.rs.
+Residuals are in units of the range of their output. The data differ from tests/problems/calibration.rs.
 """
 
 from __future__ import annotations

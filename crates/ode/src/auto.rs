@@ -1,7 +1,7 @@
 //! Switches between an explicit method for non-stiff phases and an implicit method for stiff phases.
 //!
 //! Stiffness is determined by trial: Radau5 sometimes makes a few steps, and continues if they advance more
-//! per right-hand side than those of the explicit method did. This measures the cost directly. Estimates of
+//! per right-hand side than the explicit method did. This measures the cost directly. Estimates of
 //! eigenvalues do not: the product of step size and eigenvalue at which stability limits the step depends on
 //! the system. It differs between real and imaginary eigenvalues, and is smaller for tight tolerances.
 //!
@@ -39,7 +39,7 @@ const FREE: f64 = 1.0;
 /// their count (6: dopri5.f of Hairer and Wanner, which uses 15 for the former, because it then stops).
 const STIFF_STEPS: u32 = 2;
 const CLEAN_STEPS: u32 = 6;
-/// Right-hand sides that a trial is expected to waste, in addition to those of its Jacobian: four steps of
+/// Right-hand sides that a trial is expected to waste, in addition to its Jacobian: four steps of
 /// Radau5, less their advance. Trials after the first start after as many right-hand sides of the explicit
 /// method. Each trial that is lost doubles the wait for the next one.
 const WASTE: f64 = 30.0;

@@ -172,7 +172,7 @@ pub(crate) trait Stepper: Debug + Send + Sync {
     /// Sets the second derivative after [`forget`](Self::forget), while indicators slide. `dx` is the
     /// right-hand side at the time `s` after the current point, reached along the current slopes. The
     /// difference of the two gives the second derivative, so a multistep method can begin at order 2. Its
-    /// steps of order 1 would be far shorter than those of sliding if the tolerance is tight.
+    /// steps of order 1 would be far shorter than during sliding if the tolerance is tight.
     fn begin_with(&mut self, s: f64, dx: &[f64]) {
         let _ = (s, dx);
     }

@@ -246,7 +246,7 @@ def test_inputs_and_start_values_are_applied():
 
 
 def test_rows_contain_both_sides_of_input_jumps(tmp_path):
-    """Rows equal those of FMPy's test_input in event mode, even if they do not match the internal step of the
+    """Rows equal FMPy's test_input in event mode, even if they do not match the internal step of the
     model."""
     path = example_fmu("switched_input", version="3.0")
     fixed_step = fmus.changed("switched_input", tmp_path / "own.fmu", ("<CoSimulation ", '<CoSimulation fixedInternalStepSize="0.1" '), version="3.0")

@@ -106,7 +106,7 @@ def test_file_rejected_by_sandbox_is_named(tmp_path, monkeypatch, caplog):
 
 
 def test_concurrent_workers_have_distinct_instance_names(tmp_path, monkeypatch):
-    # Some models name files by their instance, for example those of EnergyPlus.
+    # Some models name files by their instance, for example models of EnergyPlus.
     names = '{FILE *file = fopen("names.txt", "a"); fprintf(file, "%s\\n", name); fclose(file);}'
     fmu = evil(tmp_path / "named.fmu", f"AT_INSTANTIATE={names}")
     monkeypatch.chdir(tmp_path)

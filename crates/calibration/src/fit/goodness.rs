@@ -9,11 +9,12 @@ use std::fmt;
 /// Statistics of the residuals of a fit, with the names and definitions of lmfit 1.3 (documentation,
 /// "Performing Fits and Analyzing Outputs", section "Goodness-of-Fit Statistics").
 ///
-/// The residuals are those of the measurements, with the weights of the calibration and without a loss. The
-/// criteria assume independent normal errors with one variance: minus twice the logarithm of the likelihood
-/// is `N ln(chisqr / N)` up to a constant. With an error model ([`Sigma::Model`](crate::Sigma::Model)), the
-/// residuals have the weights of the fit, and it is `chisqr + 2 sum ln sigma`. Estimated coefficients then
-/// count as parameters of the criteria. The criteria are NaN if the noise of other outputs is not known.
+/// They use the residuals of the measurements, with the weights of the calibration and without a
+/// loss. The criteria assume independent normal errors with one variance: minus twice the logarithm of the
+/// likelihood is `N ln(chisqr / N)` up to a constant. With an error model
+/// ([`Sigma::Model`](crate::Sigma::Model)), the residuals have the weights of the fit, and it is `chisqr + 2
+/// sum ln sigma`. Estimated coefficients then count as parameters of the criteria. The criteria are NaN if
+/// the noise of other outputs is not known.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]

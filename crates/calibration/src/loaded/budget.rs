@@ -7,7 +7,7 @@ const SHARE: f64 = 0.25;
 /// Maximum number of additional simulations.
 const MOST: f64 = 3.5;
 
-/// A simulation in addition to those of the search and of the standard errors, if the budget allows it.
+/// A simulation in addition to the search and the standard errors, if the budget allows it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Extra {
     /// Test of a parameter: moved to its bound or away from it, or moved because it has no visible effect.

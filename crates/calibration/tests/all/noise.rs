@@ -463,7 +463,7 @@ fn later_analyses_use_the_weights_of_the_fit() {
         sensitivities[0][0].iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-3),
         "{sensitivities:?}"
     );
-    // The RMS uses the weights of the calibration, not those of the fit.
+    // The RMS uses the weights of the calibration, not of the fit.
     let squares: f64 = plain[..51].iter().map(|r| r * r).sum();
     assert!((fit.rms - (squares / 51.0).sqrt()).abs() < 1e-12, "{}", fit.rms);
     assert!((fit.outputs[0].rms - fit.rms).abs() < 1e-12);

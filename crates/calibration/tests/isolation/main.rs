@@ -309,7 +309,7 @@ fn worker_limits_are_enforced() {
 }
 
 #[test]
-fn late_variables_are_bit_identical_in_other_processes() {
+fn stale_outputs_are_bit_identical_in_all_isolation_modes() {
     let folder = faulty(&["STALE_OUTPUTS"]);
     let alone = decay(open(&folder), settings(Isolation::None));
     let apart = decay(open(&folder), settings(Isolation::Process));

@@ -1,7 +1,7 @@
 //! Private folders for unpacked archives. They are removed with their value, or by a later process if this
 //! process is killed.
 //!
-//! The folder `fmufit-unpacked-XXXXXX/fmu/` is the one that callers receive. The file
+//! The folder `fmufit-unpacked-XXXXXX/fmu/` is the folder that callers receive. The file
 //! `fmufit-unpacked-XXXXXX/lock` contains text that marks the folder as ours, and is locked by the process
 //! that owns the folder. Folders with any other layout are never removed.
 

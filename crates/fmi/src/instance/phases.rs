@@ -311,7 +311,7 @@ impl<P: Phase, K> Instance<P, K> {
     ///
     /// Before the initialization, an array value may have the size that follows from structural parameters to
     /// be set later. Between two steps of a co-simulation with event mode, values are deferred until event
-    /// mode, except those of continuous inputs. Event mode is entered before the next step at the latest.
+    /// mode, except values of continuous inputs. Event mode is entered before the next step at the latest.
     ///
     /// # Errors
     /// Returns an error if there is no such variable, or it cannot be set in this phase. Also returns an

@@ -22,9 +22,9 @@
 //!    wrong phase a compile-time error. This module relies on it for correct use of the FMU, not for its own
 //!    memory safety.
 //! 6. **After `Fatal` an instance is unusable, and so are all others of its loaded copy of the library.** No
-//!    function of them is called again, not even the one that frees an instance (FMI 2.0.x, section 2.1.3:
-//!    all instances are corrupted). Data that the FMU might still reach (callbacks, environment, library) are
-//!    leaked.
+//!    function of them is called again, not even the function that frees an instance (FMI 2.0.x, section
+//!    2.1.3: all instances are corrupted). Data that the FMU might still reach (callbacks, environment,
+//!    library) are leaked.
 //! 7. **No panic crosses into C.** The sink of the logger catches unwinding. The rest of the callbacks is C
 //!    code.
 //! 8. **Saved states belong to their instance**: pointers stay in a table of the `RawInstance`. The caller

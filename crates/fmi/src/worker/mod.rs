@@ -2,7 +2,7 @@
 //!
 //! An FMU is foreign machine code. It may crash, hang, leak memory, call `exit`, or keep values in static
 //! variables. Callers that evaluate a model more than once use [`Workers`]. A program that calls
-//! [`serve_if_worker`] first in its `main` is started to serve. Where the system can copy processes, it is
+//! [`serve_if_worker`] first in its `main` is started to serve. If the system can copy processes, it is
 //! started once, loads the problem to be evaluated, and is copied whenever a worker is needed.
 //!
 //! A worker communicates through a channel (see [`Frame`] for the messages). It has the working folder and

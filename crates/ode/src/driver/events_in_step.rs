@@ -238,7 +238,7 @@ impl Run<'_> {
                 Err(error) => return self.discard_or_fail(h, error),
             };
             if crossed && guess - root <= enough {
-                // The search overwrote the indicators with those of its last point.
+                // The search overwrote the indicators with the values at its last point.
                 let Space { x_new, domains, .. } = &mut *self.space;
                 self.stats.event_indicators += 1;
                 return match read_indicators(self.system, guess, x_new, &mut domains.end) {

@@ -21,7 +21,7 @@ pub(super) const SMALL: f64 = 0.1;
 const GOES_ON: f64 = 1.0 / 16.0;
 
 impl Domains {
-    /// Updates the indicators after an event. Those that crossed and are still near zero may have turned
+    /// Updates the indicators after an event. Indicators that crossed and are still near zero may have turned
     /// back. `reset`: the event has changed states.
     pub(crate) fn begin_after_event(&mut self, reset: bool) {
         for i in 0..self.len() {

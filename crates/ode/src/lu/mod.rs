@@ -64,8 +64,8 @@ impl<T: Scalar> Default for Lu<T> {
 }
 
 impl<T: Scalar> Lu<T> {
-    /// Allocates the work space for `n` rows: for all entries, or for those of a [sparse](is_sparse) pattern
-    /// and the diagonal.
+    /// Allocates the work space for `n` rows: for all entries, or for the entries of a [sparse](is_sparse)
+    /// pattern and the diagonal.
     ///
     /// # Errors
     /// Returns an error if memory is insufficient for a dense matrix of this size.

@@ -206,7 +206,7 @@ def solve(
         If True, also keep the solution as a function of time (`OdeResult.sol`).
     events : callable, or list of callables, optional
         ``event(t, y) -> float``: an event occurs when the value becomes positive or stops being positive. The
-        attributes are those of SciPy. ``terminal`` is True, or the number of occurrences after which the run ends.
+        attributes are the same as in SciPy. ``terminal`` is True, or the number of occurrences after which the run ends.
         ``direction`` selects upward (positive) or downward (negative) crossings in the direction of the integration,
         even if it runs backward. Other crossings do not end a step. If a change of the states in `on_event` leaves a
         function at zero, its return to its previous sign is not an event. A bouncing ball therefore needs no

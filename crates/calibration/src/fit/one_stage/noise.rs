@@ -213,7 +213,7 @@ impl EstimatedNoise {
             let of = |n| median(&mut distances(n)) / MEDIAN_DEVIATION;
             let found = of(1).min(of(2));
             let least = calibration.relative_tolerance() * size;
-            // The median is zero for a constant signal with jumps. A single value gives no estimate.
+            // The median is zero for a constant signal with jumps. A single value does not determine an estimate.
             let sd = [found, whole, spread, size].into_iter().find(|sd| *sd > least && sd.is_finite());
             let sd = sd.unwrap_or(if least > 0.0 { least } else { 1.0 });
             noise.outputs.push(OutputNoise { variable: output.variable.clone(), sd, is_of_residuals: false });
@@ -340,7 +340,7 @@ impl EstimatedNoise {
         }
     }
 
-    /// Replaces the weights of the outputs with an error model by those of the fit.
+    /// Replaces the weights of the outputs with an error model by the weights of the fit.
     pub(super) fn weigh_models(&self, problem: &Problem, layout: &mut ResidualLayout) {
         for SigmaSeries { experiment, output, sigma, .. } in
             self.models.iter().flat_map(|model| &model.series)

@@ -92,8 +92,8 @@ pub struct Fit {
     /// The simulations are part of `stats` but do not count as evaluations of the run. They are skipped after
     /// an interrupt or when the time limit has expired.
     pub n_checks: usize,
-    /// Checks skipped because the search was short. Empty if nothing was skipped. Simulations other
-    /// than those of the search and of the standard errors are limited to a quarter of the evaluations of the
+    /// Checks skipped because the search was short. Empty if nothing was skipped. Simulations outside
+    /// the search and the standard errors are limited to a quarter of the evaluations of the
     /// search. They are also limited to four simulations of the result.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub skipped: Vec<String>,

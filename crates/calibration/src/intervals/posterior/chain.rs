@@ -21,7 +21,7 @@ const SPREAD: f64 = 0.01;
 pub(super) struct Chain<'a> {
     pub(super) calibration: &'a Calibration,
     pub(super) density: LogDensity,
-    /// Values of all parameters; those of the free ones are replaced.
+    /// Values of all parameters; the values of free parameters are replaced.
     pub(super) x: Vec<f64>,
     pub(super) free: Vec<usize>,
     pub(super) simulations: Simulations<'a>,

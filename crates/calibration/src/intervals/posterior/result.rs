@@ -64,7 +64,7 @@ pub struct Posterior {
     pub n_failed: usize,
     /// True if the computation was interrupted before the last step.
     pub is_interrupted: bool,
-    /// Statistics of the simulations, without those of a resumed file.
+    /// Statistics of the simulations since the file was resumed.
     pub stats: Stats,
 }
 

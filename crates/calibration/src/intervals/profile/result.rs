@@ -130,7 +130,7 @@ pub struct Profile {
     pub is_autocorrelated: bool,
     /// Number of simulated points, including the points of a resumed file.
     pub n_simulations: usize,
-    /// Statistics of the simulations, without those of a resumed file.
+    /// Statistics of the simulations since the file was resumed.
     pub stats: Stats,
 }
 

@@ -265,8 +265,8 @@ mod tests {
         }
     }
 
-    /// 400 residuals with mean 0.3 and deviation 1. The mean is 6 of its standard errors, but only 1.5 of
-    /// those of a simulation that starts from a measurement.
+    /// 400 residuals with mean 0.3 and deviation 1. The mean is 6 of its standard errors, but only 1.5
+    /// standard errors of a simulation that starts from a measurement.
     #[test]
     fn noise_of_measured_start_is_not_reported_as_offset() {
         let r: Vec<f64> = (0..400).map(|k| 0.3 + f64::from(k % 2) * 2.0 - 1.0).collect();

@@ -209,8 +209,8 @@ impl Space {
 
     /// Returns this problem for a search that starts from a point. A box that is too wide to determine a size
     /// has no [`width`](Self::width). For a linear parameter, bounds beyond 1e10 times the largest of 1, |x0|
-    /// and the given size are ignored. The coordinates are then those of a parameter without bounds, and
-    /// points are clamped to the bounds.
+    /// and the given size are ignored. The coordinates are then the same as for a parameter without bounds,
+    /// and points are clamped to the bounds.
     pub(crate) fn without_far_bounds(&self) -> Self {
         let mut space = Self { is_local: Local(true), ..self.clone() };
         for (k, &i) in self.free.iter().enumerate().filter(|(k, _)| self.transforms[*k] == Transform::Linear)

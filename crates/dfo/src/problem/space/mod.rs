@@ -8,7 +8,7 @@
 //!
 //! Searches that start from a point (all except those that sample a box) ignore finite bounds that are far
 //! away. A bound is far if it is at least 1e10 times the largest of 1, |x0| and the given size. The
-//! coordinates are then those of a parameter without bounds. Still, no point outside these bounds is
+//! coordinates are then the same as for a parameter without bounds. Still, no point outside these bounds is
 //! evaluated.
 
 mod angles;

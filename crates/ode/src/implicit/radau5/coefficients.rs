@@ -64,7 +64,7 @@ mod tests {
             let sum: f64 = (0..3).map(|j| a[(2, j)] * c[j].powi(q - 1)).sum();
             assert!((sum - 1.0 / f64::from(q)).abs() < 1e-15, "B({q}): {sum}");
         }
-        // z = A (h f), so the error weights are those of A^-1 and the embedded formula of order 3.
+        // z = A (h f), so the error weights follow from A^-1 and the embedded formula of order 3.
         let e = Matrix3::from_fn(|i, j| if i == 0 { E[j] } else { 0.0 });
         let on_slopes = e * a;
         for q in 0..=2 {

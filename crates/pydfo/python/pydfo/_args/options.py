@@ -66,7 +66,7 @@ def record(
 def function_name(function: Callable[..., Any]) -> str:
     """Returns the module and the qualified name of a function.
 
-    For a partial, they are those of its function. For another object, they are those of its type."""
+    For a partial, they belong to its function. For another object, they belong to its type."""
     while isinstance(function, functools.partial):
         function = function.func
     named: Any = function if hasattr(function, "__qualname__") else type(function)

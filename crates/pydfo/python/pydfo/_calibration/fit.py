@@ -510,7 +510,7 @@ class Fit(OptimizeResult):
 
         Unlike the intervals of `confidence_intervals`, profile intervals need not be symmetric. They are open if the
         data do not bound a parameter. The cost is the cost of the fit, with its weights and loss. Its rise is scaled
-        with the standard errors of `uncertainty`, so for a linear model the intervals equal those of
+        with the standard errors of `uncertainty`, so for a linear model the intervals equal
         `confidence_intervals`. The threshold is the quantile of F with 1 and N - p degrees of freedom (Bates and
         Watts, Nonlinear Regression Analysis and Its Applications, 1988, section 6.1).
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 class Goodness(NamedTuple):
     """Statistics of the residuals of a fit, with the names and definitions of lmfit.
 
-    The residuals are those of the measurements, with the weights of the calibration and without a loss. The criteria
+    They use the residuals of the measurements, with the weights of the calibration and without a loss. The criteria
     assume independent normal errors of one variance, up to the weights.
     """
 

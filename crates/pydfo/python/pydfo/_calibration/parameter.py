@@ -116,7 +116,7 @@ class Parameter:
         sensor, or a scaling factor of PEtab and PyBNF.
     tied_to : str, optional
         Name of another parameter that determines this one: its value is ``factor * other + offset``. The tied
-        parameter is not an entry of ``x``. Bounds, prior and similar settings are those of the other parameter.
+        parameter is not an entry of ``x``. Bounds, prior and similar settings come from the other parameter.
         ``fit.parameters`` includes its value.
     factor, offset : float
         Factor and offset of `tied_to`.

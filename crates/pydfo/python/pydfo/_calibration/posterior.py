@@ -52,13 +52,13 @@ class Posterior:
     n_warmup : int
         Number of steps before the sample, which are not a part of it.
     n_simulations : int
-        Number of simulated points, including those of a continued file.
+        Number of simulated points, including the points of a continued file.
     n_failed : int
         Number of failed simulations; their points have the density zero.
     interrupted : bool
         True if Ctrl-C ended the sample before the last step.
     stats : SimulationStats
-        Computational cost of the simulations, without those of a continued file.
+        Computational cost of the simulations, without the simulations of a continued file.
     """
 
     names: list[str]

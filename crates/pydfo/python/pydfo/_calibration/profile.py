@@ -58,9 +58,9 @@ class Profile:
     autocorrelated : bool
         True if residuals of an output are autocorrelated. The intervals are corrected for it, as in `Uncertainty`.
     n_simulations : int
-        Number of points simulated, including those of a continued file.
+        Number of points simulated, including the points of a continued file.
     stats : SimulationStats
-        Computational cost of the simulations, without those of a continued file.
+        Computational cost of the simulations, without the simulations of a continued file.
     """
 
     intervals: dict[str, tuple[float, float]]

@@ -78,7 +78,7 @@ class Uncertainty:
     held : list of str
         Parameters that are fixed, held or at a bound, and therefore assumed known.
     undetermined, without_effect : list of str
-        Parameters that the data do not determine, and those of them that do not change any output.
+        Parameters that the data do not determine, and the undetermined parameters that do not change any output.
     confounded : list of (str, str, float)
         Pairs with nearly the same effect on the outputs, with their correlation: 0.9 or more.
     weakest : list of str

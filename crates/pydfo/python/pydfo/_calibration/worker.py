@@ -35,7 +35,7 @@ has_interpreter = False
 
 
 def set_interpreter() -> None:
-    """Registers this interpreter as the one that starts worker processes."""
+    """Registers this interpreter as the starter of worker processes."""
     global has_interpreter
     if (program := interpreter()) is not None:
         library = os.path.abspath(_core.__file__)

@@ -533,6 +533,6 @@ def instantiate(
     visible: bool = False,
     isolation: Literal["none", "process"] | None = None,
 ) -> Instance:
-    """Creates an `Instance` of an FMU. **This loads its library and runs its code.** The arguments are those of
-    `Instance`."""
+    """Creates an `Instance` of an FMU. **This loads its library and runs its code.** The arguments are the same
+    as for `Instance`."""
     return Instance(path, kind, name=name, logging=logging, visible=visible, isolation=isolation)

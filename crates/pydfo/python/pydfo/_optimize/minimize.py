@@ -90,7 +90,7 @@ def minimize(
         Further arguments of `fun`.
     workers : int, map-like or executor
         Number of simultaneous calls of `fun`, each in a separate thread; -1 means all cores. Alternatively, a
-        ``concurrent.futures`` executor (including those of Dask, MPI, joblib and Ray), which receives single points,
+        ``concurrent.futures`` executor (including executors of Dask, MPI, joblib and Ray), which receives single points,
         or a function like the built-in ``map`` (``multiprocessing.Pool().map``), which receives whole batches. Both
         are called from the calling thread. With processes, `fun` must be picklable. A point lost by an executor,
         because its process was killed, is evaluated again; three losses of a point end the run. A broken executor
@@ -103,7 +103,7 @@ def minimize(
         Seed of the random numbers, or a generator from which to draw the seed; None draws one. The result stores the
         seed in ``seed``.
     max_evaluations, max_iterations : int, optional
-        Exact limits on the evaluations and iterations. The evaluations are those of a run with one worker (``nfev``);
+        Exact limits on the evaluations and iterations. The evaluations are the same as with one worker (``nfev``);
         speculative calls are counted in ``n_speculative``. If `max_evaluations`, `max_iterations` and `max_time`
         are all None, the defaults of the method apply. For Nelder-Mead, they are 5000 (n + 1) evaluations and
         1000 (n + 1) iterations.

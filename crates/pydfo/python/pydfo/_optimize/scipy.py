@@ -28,7 +28,7 @@ def scipy_method(method: str = "auto", **fixed: Any) -> Callable[..., Any]:
 
     Bounds, ``args``, callback, ``tol`` and options are passed on. ``tol`` and the options ``xatol`` and ``fatol`` are
     absolute, as in SciPy's Nelder-Mead, and both tests must pass. ``maxiter``, ``maxfev``, ``adaptive`` and ``disp``
-    are also supported. All other options are those of `minimize`.
+    are also supported. All other options are options of `minimize`.
 
     Parameters
     ----------
