@@ -127,7 +127,7 @@ def main():
             where["ours"] += where["libc"]
             name, ours = f"{case} {solver}", round(where["ours"] / 1e3)
             if arguments.compare and ours > (1 + TOLERANCE) * kept.get(name, ours):
-                missed.append(f"{name}: {ours} thousand instructions of ours, {kept[name]} were kept")
+                missed.append(f"{name}: {ours} thousand instructions, {kept[name]} were kept")
             kept[name] = ours
             row = " | ".join(f"{where[key] / 1e3:.0f}" for key in ("model", "libm", "ours"))
             ratio = where["ours"] / (where["model"] + where["libm"])

@@ -27,7 +27,7 @@ class Problem:
 
     `residuals` returns the vector whose sum of squares is the cost; `cost` is used if there are no residuals. The
     values seen by a solver may be disturbed by noise: `disturb(values, rng)` is applied to residuals or cost, and
-    `judged` is the undisturbed cost. Problems with even numbers are for tuning constants, odd ones for assessment.
+    `assessed` is the undisturbed cost. Problems with even numbers are for tuning constants, odd ones for assessment.
     """
 
     name: str

@@ -524,7 +524,7 @@ def test_rows_between_fixed_steps_are_interpolated_or_rejected(caplog, tmp_path)
         model.simulate(0, 1, times=times, between_steps="no")
 
 
-def test_span_of_the_model_is_named(tmp_path):
+def test_default_time_span_of_the_model_is_reported(tmp_path):
     model = FMUModel(fmus.changed("dahlquist", tmp_path / "m.fmu", ('startTime="0"', 'startTime="20"')))
     with pytest.raises(ValueError, match="from 20 to 1: .*20 is the start time of the model, which start_time overrides"):
         model.simulate(final_time=1)

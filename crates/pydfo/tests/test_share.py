@@ -371,7 +371,7 @@ def test_fit_with_functions_is_loaded_with_them(tmp_path):
         loaded = load_fit(path, inputs=given, fmu=model)
         assert loaded.x.tobytes() == fit.x.tobytes() and loaded.residuals().tobytes() == fit.residuals().tobytes()
     for given, expected in (
-        ({}, r"u1: these inputs are driven by functions of time, which files do not contain. Pass the functions again, load_fit\(..., inputs="),
+        ({}, r"u1: these inputs are driven by functions of time, which files do not contain. Pass the functions again with load_fit\(..., inputs="),
         ({"u1": voltage, "u3": voltage}, "'u3' is not driven by a function of time; inputs driven by functions: u1"),
     ):
         with pytest.raises(pydfo.BadCalibrationError, match=expected):

@@ -163,7 +163,7 @@ impl Parameter {
             Some(Value::List(_)) => {
                 return bad(
                     "delay_of must be one output or input. For a common delay of several, tie the parameters of the others with \
-                     tied_to; set known delays with delays of the recording"
+                     tied_to; set known delays with the argument delays of the recording"
                         .to_owned(),
                 );
             }

@@ -5,7 +5,7 @@
 #[non_exhaustive]
 pub enum EntryProblem {
     /// The name is empty, or refers to the root folder of the archive.
-    #[error("has an empty name or an empty folder name in it")]
+    #[error("has an empty name or contains an empty folder name")]
     EmptyName,
     /// The path contains `..` (or `.`, unless the path is the name of an entry).
     #[error("points outside the archive (\"..\" or \".\" in its path)")]

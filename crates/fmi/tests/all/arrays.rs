@@ -407,7 +407,7 @@ fn saved_states_restore_array_sizes() {
 
 /// Strings and bytes change at their rows, as events. The next run starts from the start values again.
 #[test]
-fn inputs_accept_texts_and_bytes() {
+fn inputs_accept_strings_and_bytes() {
     let folder = arrays();
     let fmu = folder.open();
     let inputs = || {

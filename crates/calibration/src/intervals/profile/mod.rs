@@ -92,7 +92,7 @@ impl Calibration {
     /// - A parameter does not exist or was not fitted.
     /// - The level is not between 0 and 1.
     /// - The fit did not minimise a sum of squares.
-    /// - All residuals are zero, or there are no more residuals than parameters.
+    /// - All residuals are zero, or the number of residuals does not exceed the number of parameters.
     /// - No optimum is found.
     /// - The file belongs to another problem, or cannot be read or written.
     /// - The run is cancelled before the optimum is found ([`CalibrationError::Cancelled`]).

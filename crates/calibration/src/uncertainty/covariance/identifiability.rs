@@ -238,7 +238,7 @@ impl Uncertainty {
         };
         if self.degrees_of_freedom == 0.0 && self.held.len() < self.n() {
             let sentence =
-                "there are no more residuals than parameters. Their standard errors cannot be estimated";
+                "the number of residuals does not exceed the number of parameters, so standard errors cannot be estimated";
             find(
                 FindingId::NoDegreesOfFreedom,
                 "parameters".to_owned(),

@@ -194,7 +194,7 @@ def seconds(values: Any, column: str = "") -> FloatArray | None:
 
 
 def _seconds(values: Any, column: str) -> tuple[FloatArray | None, ClockChange | None]:
-    """Returns the seconds of `seconds`, and a missing or doubled hour in dates without a time zone."""
+    """Returns times in s, and the missing or repeated hour of a clock change in dates without a time zone."""
     array = np.asarray(values)
     if array.ndim != 1 or not array.size:
         return None, None

@@ -93,8 +93,8 @@ def _functions(path: str, given: Inputs | Mapping[str, Inputs]) -> list[tuple[in
     if missing:
         names = ", ".join(dict.fromkeys(missing))
         raise BadCalibrationError(
-            f"{path}: {names}: these inputs are driven by functions of time, which files do not contain. Pass the functions again, "
-            f"load_fit(..., inputs={{{missing[0]!r}: ...}})"
+            f"{path}: {names}: these inputs are driven by functions of time, which files do not contain. Pass the functions again "
+            f"with load_fit(..., inputs={{{missing[0]!r}: ...}})"
         )
     return found
 

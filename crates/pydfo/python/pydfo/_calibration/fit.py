@@ -370,7 +370,7 @@ class Fit(OptimizeResult):
     def compare(self, other: Fit) -> Comparison:
         """Compares this fit with a fit of another model to the same measurements.
 
-        The smaller information criterion is better. The F test applies to nested models: the smaller model is the
+        A smaller information criterion is better. The F test applies to nested models: the smaller model is the
         larger one with some parameters fixed or tied.
 
         Parameters

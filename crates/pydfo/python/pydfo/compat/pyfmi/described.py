@@ -103,7 +103,7 @@ class DescribedModel:
         return self._variable(variable_name).value_reference
 
     def get_variable_data_type(self, variable_name: str) -> int:
-        """Returns PyFMI's number of the type of a variable."""
+        """Returns PyFMI's code for the type of a variable."""
         return self._scalar(variable_name).type
 
     def get_variable_causality(self, variable_name: str) -> int:

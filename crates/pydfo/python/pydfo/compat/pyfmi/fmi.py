@@ -1,4 +1,4 @@
-"""Contents of ``pyfmi.fmi``: the models, and the numbers of types, causalities and variabilities."""
+"""Contents of ``pyfmi.fmi``: the models, and the codes of types, causalities and variabilities."""
 
 from __future__ import annotations
 
