@@ -81,7 +81,8 @@ impl std::fmt::Debug for Page {
 impl Page {
     /// Makes this process record its calls in the page.
     pub(crate) fn tell_calls(self) -> Result<&'static Self, FmiError> {
-        PAGE.set(self).map_err(|_| FmiError::BadSetting("this process is already serving requests".to_owned()))?;
+        PAGE.set(self)
+            .map_err(|_| FmiError::BadSetting("this process is already serving requests".to_owned()))?;
         PAGE.get().ok_or(FmiError::Cancelled)
     }
 

@@ -237,8 +237,7 @@ impl Uncertainty {
             findings.push(Finding::warning(id, names, sentence, remedy).of(Origin::Search));
         };
         if self.degrees_of_freedom == 0.0 && self.held.len() < self.n() {
-            let sentence =
-                "the number of residuals does not exceed the number of parameters, so standard errors cannot be estimated";
+            let sentence = "the number of residuals does not exceed the number of parameters, so standard errors cannot be estimated";
             find(
                 FindingId::NoDegreesOfFreedom,
                 "parameters".to_owned(),
