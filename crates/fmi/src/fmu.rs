@@ -216,6 +216,14 @@ impl Fmu {
         Ok(Fmu { with_units: Some(Arc::new(description)), ..self.clone() })
     }
 
+    /// Returns the FMU with the unit in which the model counts its time, which replaces the
+    /// [unit in its description](ModelDescription::time_unit). It does not change the simulations.
+    pub fn with_time_unit(&self, unit: &str) -> Fmu {
+        let mut description = self.description().clone();
+        description.given_time_unit = Some(unit.to_owned());
+        Fmu { with_units: Some(Arc::new(description)), ..self.clone() }
+    }
+
     /// True if both share one state: a library that one of them has loaded is also loaded for the other.
     pub fn is_same(&self, other: &Fmu) -> bool {
         Arc::ptr_eq(&self.inner, &other.inner)

@@ -9,6 +9,7 @@ import warnings
 
 import numpy as np
 import pytest
+from fmus import changed
 
 import pydfo
 from pydfo import Calibration, CalibrationWarning, FMUModel, Parameter, example_fmu
@@ -564,3 +565,57 @@ def test_words_ignore_case_and_fit_reports_options():
 def test_supported_batch_plan_keeps_the_method():
     plain, serial = (decay({"time": TIME, "x": DECAY}).fit(rng=1, workers=1, **more) for more in ({}, {"batch": "serial"}))
     assert serial.method == plain.method == "least-squares" and (serial.x == plain.x).all() and serial.nfev == plain.nfev
+
+
+HOURS = 0.2 * np.arange(41)
+
+
+def in_hours(data, **own):
+    return Calibration(example_fmu("dahlquist"), data, ["x"], [Parameter("k", 1.0, 0.1, 10.0)], **own)
+
+
+def test_models_in_hours_read_times_in_any_unit(tmp_path):
+    x = np.exp(-0.5 * HOURS)
+    plain = in_hours({"time": HOURS, "x": x}, time_unit="h")
+    same = in_hours({"time [h]": HOURS, "x": x}, time_unit="h")
+    assert same.residuals([0.7]).tobytes() == plain.residuals([0.7]).tobytes()
+    minutes = in_hours({"time [min]": 60 * HOURS, "x": x}, time_unit="h", window=(0, 6))
+    fit = minutes.fit()
+    assert fit.parameters["k"] == pytest.approx(0.5, abs=1e-5) and minutes.n_measurements == 31
+    np.testing.assert_allclose(fit.simulate()["time"], HOURS[:31], atol=1e-12)
+    assert fit.validate(windows=[(6.1, 8)]).time_unit == "h"
+    # Bit for bit after pickling, too.
+    hours = pickle.loads(pickle.dumps(pydfo.Experiment({"time [h]": HOURS, "x": x}, ["x"])))
+    again = Calibration(example_fmu("dahlquist"), [hours], [Parameter("k", 1.0, 0.1, 10.0)], time_unit="h")
+    assert again.residuals([0.7]).tobytes() == plain.residuals([0.7]).tobytes()
+    dates = np.datetime64("2024-05-31T10:00:00") + (3600 * HOURS).astype("timedelta64[s]")
+    assert in_hours({"time": dates, "x": x}, time_unit="h").fit().parameters["k"] == pytest.approx(0.5, abs=1e-5)
+    with pytest.raises(ValueError, match="time_unit: 'kg' is not a unit of time; expected s, ms"):
+        in_hours({"time": HOURS, "x": x}, time_unit="kg")
+    report = tmp_path / "fit.html"
+    fit.report(report)
+    assert "time in h" in report.read_text(encoding="utf-8")
+
+
+def test_time_unit_of_the_model_is_used(tmp_path):
+    """The unit of the independent variable of FMI 2.0 and 3.0."""
+    fmi2 = changed("dahlquist", tmp_path / "h2.fmu", ('name="s"', 'name="h"'), ('<BaseUnit s="1"/>', '<BaseUnit s="1" factor="3600"/>'), ('unit="s"', 'unit="h"'))
+    fmi3 = changed(
+        "dahlquist", tmp_path / "h3.fmu", ('name="s"', 'name="h"'), ('<BaseUnit s="1"/>', '<BaseUnit s="1" factor="3600"/>'), ('unit="s"', 'unit="h"'), version="3.0"
+    )
+    for path in (fmi2, fmi3):
+        model = pydfo.FMUModel(path)
+        assert model.description.time_unit == "h"
+        result = model.simulate(final_time=2.0, inputs=None)
+        assert result.units["time"] == "h" and result.time[-1] == 2.0
+        calibration = Calibration(path, {"time [min]": 60 * HOURS, "x": np.exp(-0.5 * HOURS)}, ["x"], [Parameter("k", 1.0, 0.1, 10.0)])
+        assert calibration.fit().parameters["k"] == pytest.approx(0.5, abs=1e-5)
+        assert not any(finding.id == "F041" for finding in calibration.check())
+
+
+def test_check_suggests_the_time_unit_of_the_model():
+    hours = 0.2 * np.arange(51)
+    data = {"time [h]": hours, "x": np.exp(-0.5 * hours)}
+    found = [finding for finding in in_hours(data).check() if finding.id == "F041"]
+    assert len(found) == 1 and found[0].remedy == 'Set time_unit = "h"' and "probably counts its time in h" in found[0].sentence
+    assert not any(finding.id == "F041" for finding in in_hours(data, time_unit="h").check())

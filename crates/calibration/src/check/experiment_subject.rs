@@ -14,7 +14,7 @@ pub(super) struct ExperimentSubject<'a> {
     pub(super) description: &'a ModelDescription,
     /// Parameters of the fit.
     pub(super) parameters: &'a [Parameter],
-    /// Start time of the simulation in s.
+    /// Start time of the simulation.
     pub(super) start_time: f64,
 }
 
@@ -23,7 +23,7 @@ const EXAMPLES: [&str; 16] =
     ["mm", "degC", "K", "deg", "rpm", "bar", "km/h", "ms", "g", "cm2", "l", "l/min", "kg/h", "kW", "%", "Hz"];
 
 impl ExperimentSubject<'_> {
-    /// Returns the durations in s of the recording and of the default experiment of the model.
+    /// Returns the durations of the recording and of the default experiment of the model.
     pub(super) fn durations(&self) -> Option<(f64, f64)> {
         let suggested = &self.description.default_experiment;
         let requested = suggested.stop_time? - suggested.start_time.unwrap_or(0.0);

@@ -103,7 +103,8 @@ pub(super) fn gaps(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
         let (variable, rows) = driving(subject, input, column)?;
         let is_continuous =
             variable.variability == Variability::Continuous && !subject.experiment.holds(input);
-        let (sentence, remedy) = rows.gap(subject.experiment.data.time(), is_continuous)?;
+        let data = &subject.experiment.data;
+        let (sentence, remedy) = rows.gap(data.time(), data.time_unit(), is_continuous)?;
         let name = format!("{}input '{input}' (column '{column}')", subject.prefix);
         Some(Finding::warning(FindingId::InputGap, name, sentence, remedy))
     };
@@ -172,7 +173,7 @@ impl Rows {
 
     /// Returns the sentence and the remedy for long gaps in the recording. If `is_continuous`, the input
     /// is interpolated linearly there. Otherwise, it keeps its value.
-    fn gap(&self, time: &[f64], is_continuous: bool) -> Option<(String, &'static str)> {
+    fn gap(&self, time: &[f64], unit: &str, is_continuous: bool) -> Option<(String, &'static str)> {
         let interval = sampling_interval(&self.times)?;
         let is_sparse = (self.times.len() as f64) < SPARSE * time.len() as f64;
         // The interval and the gap are differences of times.
@@ -190,11 +191,11 @@ impl Rows {
         let largest = gaps.iter().copied().max_by(|a, b| of(*a).total_cmp(&of(*b)))?;
         let [from, to, interval] =
             [self.times[largest - 1], self.times[largest], interval].map(|t| Number(rounded_time(t)));
-        let length = |seconds: f64| Number(rounded(seconds));
+        let length = |duration: f64| Number(rounded(duration));
         let of_all = match gaps.len() {
             1 => String::new(),
             n => format!(
-                ", and {} more such gaps, {} s in total",
+                ", and {} more such gaps, {} {unit} in total",
                 n - 1,
                 length(gaps.iter().map(|k| of(*k)).sum())
             ),
@@ -205,7 +206,7 @@ impl Rows {
         };
         Some((
             format!(
-                "the input has no value from {from} s to {to} s ({} s), elsewhere one every {interval} s{of_all}. {taken}",
+                "the input has no value from {from} {unit} to {to} {unit} ({} {unit}), elsewhere one every {interval} {unit}{of_all}. {taken}",
                 length(of(largest))
             ),
             "Fill the gap with the values of the input, or exclude its time with windows and start_time",
@@ -246,32 +247,34 @@ mod tests {
             let kept = || (0..400).filter(|k| !left_out.contains(k));
             Rows { times: kept().map(|k| all.times[k]).collect(), values: kept().map(sine).collect() }
         };
-        let reported = without(150..250).gap(&all.times, true).unwrap().0;
+        let reported = without(150..250).gap(&all.times, "s", true).unwrap().0;
         assert!(
             reported.starts_with(
                 "the input has no value from 7.45 s to 12.5 s (5.05 s), elsewhere one every 0.05 s. "
             ),
             "{reported}"
         );
-        assert!(without(150..152).gap(&all.times, true).is_none());
-        assert!(without(150..153).gap(&all.times, false).unwrap().0.ends_with("holds the last value there"));
+        assert!(without(150..152).gap(&all.times, "s", true).is_none());
+        assert!(
+            without(150..153).gap(&all.times, "s", false).unwrap().0.ends_with("holds the last value there")
+        );
         // Both ends of a gap may be equal, but the values between them are still unknown.
         let square = |k: usize| f64::from(u8::from((k / 40).is_multiple_of(2)));
         let kept = || (0..400).filter(|k| !(100..260).contains(k) && !(300..310).contains(k));
         let square =
             Rows { times: kept().map(|k| all.times[k]).collect(), values: kept().map(square).collect() };
-        let reported = square.gap(&all.times, true).unwrap().0;
+        let reported = square.gap(&all.times, "s", true).unwrap().0;
         assert!(
             reported.contains("(8.05 s), elsewhere one every 0.05 s, and 1 more such gaps, 8.6 s in total"),
             "{reported}"
         );
         // The recording itself has no rows in the gap.
         let gap = without(150..250);
-        assert!(gap.gap(&gap.times, true).is_none());
+        assert!(gap.gap(&gap.times, "s", true).is_none());
         // Every tenth row has a value.
         let tenth = || (0..400).step_by(10);
         let slow =
             Rows { times: tenth().map(|k| all.times[k]).collect(), values: tenth().map(sine).collect() };
-        assert!(slow.gap(&all.times, true).is_none());
+        assert!(slow.gap(&all.times, "s", true).is_none());
     }
 }

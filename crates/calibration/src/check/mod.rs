@@ -29,7 +29,8 @@ use simulated_outputs::{Evaluations, Outputs, Place};
 impl Calibration {
     /// Looks for inconsistencies and returns findings with remedies. Requires one evaluation at the start
     /// values of the parameters. A fixed step or a co-simulation requires a second evaluation, with half the
-    /// step or communication step.
+    /// step or communication step. A recording with the length of the default experiment in another unit of
+    /// time requires one in this unit.
     ///
     /// The check covers these items:
     ///
@@ -90,10 +91,12 @@ impl Calibration {
         evaluations: &mut Evaluations<'_>,
     ) -> Result<(), CalibrationError> {
         evaluations.n += 1;
-        let start = match self.residuals(&self.start(), &evaluations.context) {
-            Ok(residuals) => PointResiduals { residuals, x: self.start() },
+        let x = self.start();
+        let start = match self.residuals(&x, &evaluations.context) {
+            Ok(residuals) => PointResiduals { residuals, x },
             Err(CalibrationError::Cancelled) => return Err(CalibrationError::Cancelled),
             Err(error) => {
+                findings.extend(times::other_unit(self, subjects, (&x, None), evaluations)?);
                 findings.push(Finding::new(
                     Severity::Error,
                     FindingId::FailedStart,
@@ -107,6 +110,7 @@ impl Calibration {
         *is_start_simulated = true;
         findings.extend(self.ineffective_start_values(subjects));
         findings.extend(at_start::findings(subjects, &Outputs::new(self, &start, None)));
+        findings.extend(times::other_unit(self, subjects, (&start.x, Some(&start)), evaluations)?);
         findings.extend(settings::large_step(self, &start, Place::Start, evaluations)?);
         Ok(())
     }
@@ -128,6 +132,20 @@ impl Calibration {
         // Notes of the construction describe how the data were read, so keep them.
         doubts.extend(model::construction_warnings(self.warnings()));
         doubts
+    }
+
+    /// Returns findings about another unit of time at the start of a fit. Requires an evaluation only if the
+    /// recording has the length of the default experiment in another unit.
+    pub(crate) fn other_time_unit_at_start(
+        &self,
+        start: &PointResiduals,
+        context: &RunContext<'_>,
+        stats: &mut Stats,
+    ) -> Vec<Finding> {
+        let mut evaluations = Evaluations { context: *context, n: 0, stats: Stats::default() };
+        let found = times::other_unit(self, &self.subjects(), (&start.x, Some(start)), &mut evaluations);
+        *stats += evaluations.stats;
+        found.unwrap_or_default()
     }
 
     /// Returns the findings that require no simulation, without notes.

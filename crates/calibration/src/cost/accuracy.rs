@@ -16,7 +16,7 @@ pub(crate) enum Accuracy {
 impl Accuracy {
     /// Returns the remedy for a step that is too large.
     pub(crate) fn smaller_step(step_size: Option<f64>) -> String {
-        let than = step_size.map_or_else(String::new, |step| format!(" than {} s", Number(step)));
+        let than = step_size.map_or_else(String::new, |step| format!(" than {}", Number(step)));
         format!("Set a smaller step_size{than}")
     }
 

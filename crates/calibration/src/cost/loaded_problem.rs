@@ -4,6 +4,7 @@ use crate::cost::failure::CostFailure;
 use crate::cost::process::Remote;
 use crate::cost::residual::{Accumulator, CostRule, StopReason, sum_of_squares};
 use crate::cost::simulation::Simulation;
+use crate::data::TimeUnit;
 use crate::error::CalibrationError;
 use crate::problem::assignment::{Affine, Assignments, tied_values};
 use crate::problem::column_units::convert_columns;
@@ -53,6 +54,11 @@ impl LoadedProblem {
         lender: Option<&Remote>,
     ) -> Result<Self, CalibrationError> {
         let fmu = problem.settings.with_units(fmu)?;
+        let time_unit = TimeUnit::of_model(fmu.description());
+        for k in 0..problem.experiments.len() {
+            let converted = problem.experiments[k].data.convert_times(&time_unit);
+            converted.map_err(|error| problem.error_in(k, error))?;
+        }
         for k in 0..problem.experiments.len() {
             let taken = problem.experiments[k].take_parameter_set(fmu.description(), &problem.parameters);
             taken.map_err(|error| problem.error_in(k, error))?;

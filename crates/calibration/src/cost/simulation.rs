@@ -379,8 +379,7 @@ fn final_time(
         if !lowest.is_finite() {
             let name =
                 delay.entry.map(|entry| elements[entry].parameter.name().to_owned()).unwrap_or_default();
-            let message =
-                format!("its delay may reach {} s. Set finite bounds for the delay", Number(lowest));
+            let message = format!("its delay may reach {}. Set finite bounds for the delay", Number(lowest));
             return Err(CalibrationError::Parameter { name, message });
         }
         end = measured.times.iter().fold(end, |end, time| end.max(time - lowest.min(0.0)));

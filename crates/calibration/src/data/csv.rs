@@ -49,10 +49,12 @@ impl Data {
     ///   is ignored, and so are columns without a name at the end of the header.
     /// - Numbers: decimal commas are supported if the delimiter is not a comma. A file that mixes commas and
     ///   points is ambiguous because one of them may separate thousands. Using such a column is an error.
-    /// - Times: the column `time` (in upper or lower case), in s or in the unit that follows in brackets or
-    ///   parentheses: s, ms, us, ns, min, h, d (`time [ms]`). Dates (ISO 8601, or as `31.05.2024 13:45:10`)
-    ///   and times of day are converted to s since the first row. If `00:01` is ambiguous, the name must
-    ///   include the format, as in `time [mm:ss]` or `time [hh:mm]`.
+    /// - Times: the column `time` (in upper or lower case), in the unit that follows in brackets or
+    ///   parentheses: s, ms, us, ns, min, h, d (`time [ms]`). Without a unit, they are in the time unit of
+    ///   the model, which is s unless the model or [`SimulationSettings`](crate::SimulationSettings) state
+    ///   another one. Dates (ISO 8601, or as `31.05.2024 13:45:10`) and times of day are converted to s since
+    ///   the first row. If `00:01` is ambiguous, the name must include the format, as in `time [mm:ss]` or
+    ///   `time [hh:mm]`.
     /// - Missing values: empty cells, `NaN`, `NA`, `N/A` and `null`, in upper or lower case.
     /// - Text columns are kept separately, and using one is an error. Using a column whose name and line of
     ///   units declare different units is also an error.
@@ -150,7 +152,7 @@ impl Data {
                     return Err(bad(message));
                 }
                 if let Some(unit) = &columns[at].unit {
-                    time_column.unit = time_unit(&names[at], unit).map_err(bad)?;
+                    time_column.unit = Some(time_unit(&names[at], unit).map_err(bad)?);
                 }
                 continue;
             }
@@ -203,11 +205,12 @@ impl Data {
                 DateError::Cell(row, why) => bad(format!("time in line {}: {why}", line_of(row))),
                 DateError::Cancelled => CalibrationError::Cancelled,
             })?;
-            time_column.unit = (1.0, 1.0);
+            time_column.unit = Some((1.0, 1.0));
         }
-        times.iter_mut().for_each(|t| *t = time_column.seconds(*t));
         let place = |row| format!("line {}", line_of(row));
-        let data = Self::new(source_name.to_owned(), time.name, times, columns, place)?.with_dates(has_dates);
+        let data =
+            Self::in_column(source_name.to_owned(), (time.name, times.into()), time_column, columns, place)?;
+        let data = data.with_dates(has_dates);
         let first_date =
             dates.first().filter(|date| has_dates && !is_duration(date)).map(|date| date.trim().to_owned());
         let data = data.with_first_date(first_date);
@@ -464,7 +467,7 @@ mod tests {
     #[test]
     fn csv_keeps_durations_and_stores_no_date_for_them() {
         let d = csv("time,y\n0 days 00:00:02,1\n0 days 00:00:02.500000,2\n").unwrap();
-        assert_eq!((d.time(), d.has_dates(), d.first_date()), (&[2.0, 2.5][..], true, None));
+        assert_eq!((d.time(), d.states_time_unit(), d.first_date()), (&[2.0, 2.5][..], true, None));
         let d = csv("time,y\n31-May-2024 10:00:02,1\n31-May-2024 10:00:03,2\n").unwrap();
         assert_eq!((d.time(), d.first_date()), (&[0.0, 1.0][..], Some("31-May-2024 10:00:02")));
     }

@@ -21,6 +21,6 @@ pub(crate) use recording::NewValues;
 pub(crate) use resampling::Means;
 pub use series::Series;
 pub(crate) use series::sampling_interval;
-pub(crate) use time_column::{MOST_LISTED, listed, parts};
+pub(crate) use time_column::{MOST_LISTED, TimeUnit, listed, parts};
 pub use time_column::{PairUnit, TimeColumn, find_column};
 pub use units::{Unit, UnitConversion, UnitError};

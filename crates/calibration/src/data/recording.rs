@@ -2,7 +2,7 @@
 
 use super::clock_change::{ClockChange, DAY};
 use super::series::{Series, sampling_interval};
-use super::time_column::{TimeColumn, find_column, is_contradiction, parts};
+use super::time_column::{SECOND, TimeColumn, TimeUnit, find_column, is_contradiction, parts};
 use super::units::UnitConversion;
 use crate::error::CalibrationError;
 use base::{Number, RunContext};
@@ -24,16 +24,23 @@ pub struct Data {
     pub(super) columns: Vec<Column>,
     /// Names of unread columns.
     pub(super) left_out: Vec<String>,
-    /// True if the times were dates or durations, so that they have no other unit.
+    /// True if the recording states the unit of its times. Otherwise, they count as the model does.
     #[serde(default)]
-    has_dates: bool,
+    states_time_unit: bool,
+    /// Unit of the times; `None` for s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    time_unit: Option<TimeUnit>,
+    /// Times as written and the length of their unit, until they are in the unit of the model. A conversion
+    /// to s and back would round them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) written: Option<(Series, (f64, f64))>,
     /// First date as text in the file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     first_date: Option<String>,
     /// Missing hour in times without a zone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     clock_change: Option<ClockChange>,
-    /// Length of the intervals in s if the rows are means over intervals.
+    /// Length of the intervals if the rows are means over intervals.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) resampled: Option<f64>,
     /// Source of the mask of measurements: a column, or a value for each row.
@@ -57,14 +64,14 @@ pub(crate) struct DataSummary<'d> {
     /// SHA-256 of the compared names and values, after the mask and the means.
     pub(crate) fingerprint: String,
     pub(crate) n_rows: usize,
-    /// Name of the time column. `from` and `to` are its first and last value in s.
+    /// Name of the time column. `from` and `to` are its first and last value.
     pub(crate) time: &'d str,
     pub(crate) from: Option<f64>,
     pub(crate) to: Option<f64>,
     pub(crate) columns: Vec<&'d str>,
     /// Source of the mask of measurements.
     pub(crate) mask: Option<&'d str>,
-    /// Length of the intervals of the means in s.
+    /// Length of the intervals of the means.
     pub(crate) resample: Option<f64>,
 }
 
@@ -118,10 +125,74 @@ impl Data {
         let found = TimeColumn::find(columns.iter().map(|(name, _)| name.as_str()), time);
         let found =
             found.map_err(|message| CalibrationError::Data { source_name: "data".to_owned(), message })?;
-        let (name, mut times) = columns.remove(found.index);
-        times.to_mut().iter_mut().for_each(|t| *t = found.seconds(*t));
+        let times = columns.remove(found.index);
         let columns = columns.into_iter().map(|(name, values)| Column::new(name, values)).collect();
-        Self::new("data".to_owned(), name, times, columns, |row| format!("row {row}"))
+        Self::in_column("data".to_owned(), times, found, columns, |row| format!("row {row}"))
+    }
+
+    /// Creates a table from the name and the numbers of its time column. Times with a stated unit are
+    /// converted to s.
+    pub(super) fn in_column(
+        source: String,
+        (name, written): (String, Series),
+        column: TimeColumn,
+        columns: Vec<Column>,
+        place: impl Fn(usize) -> String,
+    ) -> Result<Self, CalibrationError> {
+        let length = column.unit.filter(|(numerator, denominator)| numerator != denominator);
+        let times = match length {
+            Some(_) => written.iter().map(|t| column.seconds(*t)).collect(),
+            None => written.clone(),
+        };
+        let data = Self::new(source, name, times, columns, place)?;
+        let states_time_unit = column.unit.is_some();
+        Ok(Self { states_time_unit, written: length.map(|length| (written, length)), ..data })
+    }
+
+    /// Returns the unit of the times: s, or the time unit of the model after
+    /// [`Calibration::from_problem`](crate::Calibration::from_problem).
+    pub fn time_unit(&self) -> &str {
+        self.time_unit.as_ref().map_or(SECOND, |unit| &unit.name)
+    }
+
+    /// True if the unit of the times is stated, or if they are dates or durations.
+    pub(crate) fn states_time_unit(&self) -> bool {
+        self.states_time_unit
+    }
+
+    /// Converts the times to the time unit of the model. Times without a stated unit already are in this
+    /// unit.
+    ///
+    /// # Errors
+    /// Returns an error if the times state a unit, but the unit of the model is not a unit of time.
+    pub(crate) fn convert_times(&mut self, unit: &TimeUnit) -> Result<(), CalibrationError> {
+        let own = self.time_unit.take().unwrap_or_else(TimeUnit::second);
+        if self.states_time_unit && own != *unit {
+            let Some((from, to)) = own.length.zip(unit.length) else {
+                return Err(CalibrationError::Data {
+                    source_name: self.source.clone(),
+                    message: format!(
+                        "the times are in {}, but the model counts its independent variable in '{}', which is not a unit of time. Set \
+                         time_unit to the time unit of the model, or remove the unit from the column '{}'",
+                        own.name, unit.name, self.time_name
+                    ),
+                });
+            };
+            let (written, from) = self.written.take().unwrap_or_else(|| (self.time.clone(), from));
+            let (numerator, denominator) = (from.0 * to.1, from.1 * to.0);
+            self.time = match numerator == denominator {
+                true => written,
+                false => written.iter().map(|t| t * numerator / denominator).collect(),
+            };
+        }
+        self.written = None;
+        self.time_unit = Some(unit.clone()).filter(|unit| unit.name != SECOND);
+        Ok(())
+    }
+
+    /// Returns the table as if the recording stated that its times are in this unit.
+    pub(crate) fn with_times_in(self, unit: TimeUnit) -> Self {
+        Self { states_time_unit: true, time_unit: Some(unit), ..self }
     }
 
     /// Repeats the checks of the constructor, because deserialized data may be invalid.
@@ -168,15 +239,10 @@ impl Data {
         Ok(self)
     }
 
-    /// Sets whether the times were dates or durations, whose unit is known.
+    /// Sets whether the times were dates or durations, which have been converted to s.
     #[must_use]
     pub fn with_dates(self, has_dates: bool) -> Self {
-        Self { has_dates, ..self }
-    }
-
-    /// True if the times were dates or durations.
-    pub(crate) fn has_dates(&self) -> bool {
-        self.has_dates
+        Self { states_time_unit: self.states_time_unit || has_dates, ..self }
     }
 
     /// Sets the first date as text in the file.
@@ -272,7 +338,9 @@ impl Data {
             time,
             columns,
             left_out: Vec::new(),
-            has_dates: false,
+            states_time_unit: false,
+            time_unit: None,
+            written: None,
             first_date: None,
             clock_change: None,
             resampled: None,
@@ -498,8 +566,9 @@ impl Data {
         let values = self.column(column)?;
         let samples: Vec<(f64, f64)> =
             self.time.iter().copied().zip(values.iter().copied()).filter(|(_, v)| !v.is_nan()).collect();
+        let unit = self.time_unit();
         let bad = |found: String| {
-            let message = format!("column '{column}' has no value at {} s{found}", Number(time));
+            let message = format!("column '{column}' has no value at {} {unit}{found}", Number(time));
             Err(CalibrationError::Data { source_name: self.source.clone(), message })
         };
         let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
@@ -511,15 +580,19 @@ impl Data {
         }
         let after = samples.partition_point(|(t, _)| *t <= time);
         if after == 0 {
-            return bad(format!(". The first value is at {} s", Number(first.0)));
+            return bad(format!(". The first value is at {} {unit}", Number(first.0)));
         }
         let (Some((t0, v0)), Some((t1, v1))) = (samples.get(after - 1), samples.get(after)) else {
-            return bad(format!(". The last value is at {} s", Number(last.0)));
+            return bad(format!(". The last value is at {} {unit}", Number(last.0)));
         };
         let times: Vec<f64> = samples.iter().map(|(t, _)| *t).collect();
         let rounding = (WIDEST_GAP + 1.0) * tolerance;
         if sampling_interval(&times).is_some_and(|usual| t1 - t0 > WIDEST_GAP * usual + rounding) {
-            return bad(format!(". Values are missing from {} s to {} s", Number(*t0), Number(*t1)));
+            return bad(format!(
+                ". Values are missing from {} {unit} to {} {unit}",
+                Number(*t0),
+                Number(*t1)
+            ));
         }
         Ok(v0 + (v1 - v0) * (time - t0) / (t1 - t0))
     }

@@ -30,8 +30,9 @@ impl Data {
         let (start, end) = (self.time[0], self.time[self.time.len() - 1]);
         let tolerance = base::time_tolerance(start, end);
         if let Some(spacing) = self.sampling_interval().filter(|spacing| interval < spacing - tolerance) {
+            let unit = self.time_unit();
             return Err(bad(format!(
-                "resample = {} s is shorter than the row spacing of {} s. Set a larger interval",
+                "resample = {} {unit} is shorter than the row spacing of {} {unit}. Set a larger interval",
                 Number(interval),
                 Number(spacing)
             )));
@@ -76,6 +77,7 @@ impl Data {
             columns.iter().map(|column| matches!(column.means, Means::Weighted(_))).collect();
         let (values, weights): (Vec<_>, Vec<_>) = reduced.into_iter().unzip();
         self.resampled = Some(interval);
+        self.written = None;
         self.time = time.into();
         self.columns.iter_mut().zip(values).for_each(|(column, values)| column.values = values.into());
         let if_weighted = |(weights, is_weighted)| if is_weighted { weights } else { Vec::new() };

@@ -2,6 +2,8 @@
 
 use super::units::{Unit, UnitConversion, UnitError};
 use crate::findings::display_text::shortened;
+use fmi::ModelDescription;
+use serde::{Deserialize, Serialize};
 
 /// Maximum number of names in a message. Further names are only counted.
 pub(crate) const MOST_LISTED: usize = 20;
@@ -11,9 +13,50 @@ pub(crate) const MOST_LISTED: usize = 20;
 pub struct TimeColumn {
     /// Index of the column.
     pub index: usize,
-    /// Length of the unit in s, as numerator and denominator.
-    pub unit: (f64, f64),
+    /// Length of the unit in s, as numerator and denominator; `None` if no unit is stated.
+    pub unit: Option<(f64, f64)>,
 }
+
+/// Unit in which times count.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct TimeUnit {
+    pub(crate) name: String,
+    /// Length in s, as numerator and denominator; `None` if it is not a unit of time.
+    pub(crate) length: Option<(f64, f64)>,
+}
+
+impl TimeUnit {
+    /// Returns the second.
+    pub(crate) fn second() -> Self {
+        Self { name: SECOND.to_owned(), length: Some((1.0, 1.0)) }
+    }
+
+    /// Returns the unit in which a model counts its time. Definitions of the model take precedence.
+    pub(crate) fn of_model(description: &ModelDescription) -> Self {
+        Self::named(description.time_unit(), description)
+    }
+
+    /// Returns the unit with this name.
+    pub(crate) fn named(name: &str, description: &ModelDescription) -> Self {
+        let defined = description.units.iter().find(|unit| unit.name == name).and_then(|unit| unit.base);
+        let unit = defined.map_or_else(|| Unit::parse(name).ok(), |base| Unit::defined(&base));
+        Self { name: name.to_owned(), length: unit.and_then(|unit| unit.time_factor()) }
+    }
+
+    /// Returns the conversion from another unit of time, if both are units of time.
+    pub(crate) fn conversion_from(&self, other: &str) -> Option<UnitConversion> {
+        let ((n, d), (own_n, own_d)) = (Unit::parse(other).ok()?.time_factor()?, self.length?);
+        let factor = (n * own_d, d * own_n);
+        Some(if factor.0 == factor.1 {
+            UnitConversion::IDENTITY
+        } else {
+            UnitConversion { factor, offset: 0.0 }
+        })
+    }
+}
+
+/// Unit of times if nothing else is stated.
+pub(crate) const SECOND: &str = "s";
 
 impl TimeColumn {
     /// Finds the time column by name. It is the column `named`, or `time` (in upper or lower case) if no name
@@ -64,9 +107,18 @@ impl TimeColumn {
         }
     }
 
+    /// Returns the factor that converts times of the column to the time unit of a model, as numerator and
+    /// denominator. It is 1 if the column states no unit. Returns `None` if the unit of the model is not a
+    /// unit of time.
+    pub fn factor_for(&self, description: &ModelDescription) -> Option<(f64, f64)> {
+        let Some((n, d)) = self.unit else { return Some((1.0, 1.0)) };
+        let (model_n, model_d) = TimeUnit::of_model(description).length?;
+        Some((n * model_d, d * model_n))
+    }
+
     /// Converts a time of the column to s.
     pub fn seconds(&self, time: f64) -> f64 {
-        time * self.unit.0 / self.unit.1
+        self.unit.map_or(time, |(numerator, denominator)| time * numerator / denominator)
     }
 }
 
@@ -151,9 +203,9 @@ pub fn find_column<'a>(names: impl Iterator<Item = &'a str> + Clone, wanted: &st
     }
 }
 
-/// Returns the length in s of the time unit in the name of a column, or 1 if there is none.
-fn unit(name: &str) -> Result<(f64, f64), String> {
-    parts(name).1.map_or(Ok((1.0, 1.0)), |given| time_unit(name, given))
+/// Returns the length in s of the time unit in the name of a column, if it states one.
+fn unit(name: &str) -> Result<Option<(f64, f64)>, String> {
+    parts(name).1.map(|given| time_unit(name, given)).transpose()
 }
 
 /// Returns the length of a time unit in s.

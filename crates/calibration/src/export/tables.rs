@@ -144,6 +144,10 @@ impl Fit {
         let residuals = layout.reweighed(&residuals, calibration.residual_layout());
         let names = calibration.problem().experiment_names();
         let mut rows = vec![header.map(str::to_owned).to_vec()];
+        match calibration.fmu().description().time_unit() {
+            "s" => {}
+            unit => rows[0][4] = format!("time [{unit}]"),
+        }
         for output in &layout.outputs {
             let trajectory = &trajectories[output.experiment];
             let column = trajectory.columns.get(output.output);

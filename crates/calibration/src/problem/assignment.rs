@@ -1,6 +1,6 @@
 //! Assignment of the entries of `x` to variables, delays and offsets of an experiment.
 
-use crate::data::UnitConversion;
+use crate::data::{TimeUnit, UnitConversion};
 use crate::error::CalibrationError;
 use crate::problem::column_units::declared;
 use crate::problem::definition::{Element, Problem};
@@ -21,7 +21,7 @@ pub(crate) struct Affine {
     pub(crate) unit: UnitConversion,
 }
 
-/// Returns the conversion from the unit of a parameter to the unit of a variable, or to seconds.
+/// Returns the conversion from the unit of a parameter to the unit of a variable, or of the time.
 fn conversion(
     parameter: &Parameter,
     variable: Option<&str>,
@@ -29,7 +29,10 @@ fn conversion(
 ) -> Result<UnitConversion, CalibrationError> {
     let Some(unit) = parameter.given_unit() else { return Ok(UnitConversion::IDENTITY) };
     let found = match variable {
-        None => UnitConversion::between(unit, "s"),
+        None => match TimeUnit::of_model(description).conversion_from(unit) {
+            Some(conversion) => Ok(conversion),
+            None => UnitConversion::between(unit, description.time_unit()),
+        },
         Some(name) => match declared(description, name) {
             Some(variable) => UnitConversion::to_variable(unit, variable, description),
             // Planning the simulation rejects an unknown name and suggests the nearest ones.

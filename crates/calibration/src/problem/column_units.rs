@@ -1,6 +1,6 @@
 //! Conversion of recorded columns to the units of the variables that they measure or drive.
 
-use crate::data::{Data, Unit, UnitConversion, UnitError, find_column, listed, parts};
+use crate::data::{Data, TimeUnit, Unit, UnitConversion, UnitError, find_column, listed, parts};
 use crate::error::CalibrationError;
 use crate::problem::definition::Problem;
 use crate::problem::error_model::{Coefficient, ErrorModel};
@@ -157,7 +157,8 @@ fn converted_model(
 pub type InputColumn = (String, String);
 
 /// Selects the columns that drive a model: those named after an input or a tunable parameter, converted to
-/// its unit. Units may follow the name. The case may differ if only one column and one input match.
+/// its unit. Times are converted to the time unit of the model. Units may follow the name. The case may
+/// differ if only one column and one input match.
 ///
 /// Returns the recording, the selected columns, and warnings. The warnings report columns that could not be
 /// converted, and inputs without a column, unless the input is listed in `given`.
@@ -166,10 +167,11 @@ pub type InputColumn = (String, String);
 /// Returns an error if no column has the name of an input, or if several columns match one input. Returns an
 /// error if a column has two units, a unit of another quantity, or an unknown unit.
 pub fn recorded_inputs(
-    data: Data,
+    mut data: Data,
     description: &ModelDescription,
     given: &[String],
 ) -> Result<(Data, Vec<InputColumn>, Vec<SetupWarning>), CalibrationError> {
+    data.convert_times(&TimeUnit::of_model(description))?;
     let bad = |message: String| CalibrationError::Data { source_name: data.source().to_owned(), message };
     let inputs = || description.variables.iter().filter(|v| v.causality == Causality::Input);
     let pairs = input_columns(&data, description).map_err(bad)?;

@@ -11,7 +11,8 @@ use fmi::{InputFunction, ModelDescription, Value};
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 
-/// A recording of the machine and its mapping to the model.
+/// A recording of the machine and its mapping to the model. All times and durations are in the [time
+/// unit](fmi::ModelDescription::time_unit) of the model, usually s.
 ///
 /// ```
 /// use calibration::{Data, Experiment};
@@ -23,7 +24,7 @@ use std::collections::HashSet;
 pub struct Experiment {
     pub(crate) name: Option<String>,
     pub(crate) data: Data,
-    /// Interval in s over which means replace the rows; `None` after the means have been computed.
+    /// Interval over which means replace the rows; `None` after the means have been computed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) resample: Option<f64>,
     pub(crate) outputs: Vec<Measured>,
@@ -37,7 +38,7 @@ pub struct Experiment {
     pub(crate) warm_up: Option<f64>,
     pub(crate) start_time: Option<f64>,
     pub(crate) hold_inputs: bool,
-    /// Delays of compared outputs and of inputs, in s.
+    /// Delays of compared outputs and of inputs.
     pub(crate) delays: Vec<(String, f64)>,
 }
 
@@ -351,7 +352,7 @@ impl Experiment {
         parameters.iter().any(|p| p.is_local() && p.is_called(name))
     }
 
-    /// Replaces the rows of the recording by means over intervals of this length in s, beginning with the
+    /// Replaces the rows of the recording by means over intervals of this length, beginning with the
     /// first time. Each mean is placed at the mean of the times of its values. The noise decreases with the
     /// square root of the number of rows. Signals faster than the interval are lost.
     ///
@@ -520,7 +521,7 @@ impl Experiment {
         self
     }
 
-    /// Sets a warm-up in s after the start of the simulation, in which the simulation is not compared.
+    /// Sets a warm-up after the start of the simulation, in which the simulation is not compared.
     /// Meanwhile the model forgets its initial states. With windows and without a [start
     /// time](Self::start_time), the simulation starts this long before the first measurement in the windows.
     /// Otherwise the start does not change, and measurements before the end of the warm-up do not count.
@@ -530,7 +531,7 @@ impl Experiment {
         self
     }
 
-    /// Sets the delay in s of a compared output or of an input. An output `y(t - delay)` is compared with the
+    /// Sets the delay of a compared output or of an input. An output `y(t - delay)` is compared with the
     /// measurement at t. An input drives the model with `u(t - delay)`. Use a
     /// [parameter](Parameter::delay_of) to fit a delay.
     #[must_use]
@@ -539,7 +540,7 @@ impl Experiment {
         self
     }
 
-    /// Sets the start time of the simulation, in s. Default: the start of the model's default experiment,
+    /// Sets the start time of the simulation. Default: the start of the model's default experiment,
     /// otherwise 0.
     #[must_use]
     pub fn start_time(mut self, start_time: f64) -> Self {

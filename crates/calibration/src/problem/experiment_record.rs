@@ -49,17 +49,18 @@ pub struct ExperimentRecord {
     /// of this experiment only.
     #[cfg_attr(feature = "schema", schemars(with = "Pairs<NumberOr<InitialStateRecord>>"))]
     initial_states: Value,
-    /// Windows in which measurements count, each from and to, in s.
+    /// Windows in which measurements count, each from and to. All times are in the time unit of the model,
+    /// usually s.
     windows: Vec<(f64, f64)>,
-    /// Warm-up after the start of the simulation that is not compared, in s.
+    /// Warm-up after the start of the simulation that is not compared.
     warm_up: Option<f64>,
-    /// Start time of the simulation, in s.
+    /// Start time of the simulation.
     start_time: Option<f64>,
     /// The column that selects the rows in which measurements count.
     mask: Option<String>,
-    /// Interval over which means are taken, in s.
+    /// Interval over which means are taken.
     resample: Option<f64>,
-    /// Delays of outputs and inputs, in s.
+    /// Delays of outputs and inputs.
     #[cfg_attr(feature = "schema", schemars(with = "Pairs<f64>"))]
     delays: Value,
     /// Keeps the first and last recorded values of inputs outside their recordings.

@@ -31,7 +31,9 @@ pub(crate) fn identity(
     ];
     let mut settings = problem.settings.clone();
     settings.run.input_derivatives.get_or_insert(true);
-    all.extend(fields("the simulations", &settings)?);
+    // Checkpoints of older versions do not contain a time unit.
+    let is_known = |(name, value): &(String, String)| value != "none" || !name.starts_with("time_unit ");
+    all.extend(fields("the simulations", &settings)?.into_iter().filter(is_known));
     for parameter in &problem.parameters {
         all.extend(fields(&format!("parameter {}", parameter.name()), &parameter.without_search())?);
     }

@@ -77,7 +77,7 @@ enum SignalSource {
 /// Delay, factor and offset of a signal: `factor * u(t - delay) + offset`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Shift {
-    /// In s.
+    /// In the time unit of the model.
     pub(crate) delay: f64,
     pub(crate) factor: f64,
     /// In the unit of the variable.
@@ -193,10 +193,11 @@ impl Signal {
         if gap <= sampling_interval(times).unwrap_or(0.0) + base::time_tolerance(span.0, span.1) {
             return Ok(());
         }
+        let unit = data.time_unit();
         let [r0, r1, s0, s1] = [recorded.0, recorded.1, span.0, span.1].map(Number);
         Err(CalibrationError::Setup(format!(
-            "{}: input '{}' is recorded from {r0} s to {r1} s, but the simulation needs it from {s0} s to {s1} s. Set hold_inputs to \
-             hold its first and last values, or a window or start_time inside its recording",
+            "{}: input '{}' is recorded from {r0} {unit} to {r1} {unit}, but the simulation needs it from {s0} {unit} to {s1} {unit}. \
+             Set hold_inputs to hold its first and last values, or a window or start_time inside its recording",
             data.source(),
             self.variable
         )))

@@ -50,7 +50,7 @@ impl Measurements {
     /// Selects the measurements of an experiment. The simulation starts at `default_start` if nothing else is
     /// specified.
     pub(crate) fn new(experiment: &Experiment, default_start: f64) -> Result<Self, CalibrationError> {
-        let source = experiment.data.source();
+        let (source, unit) = (experiment.data.source(), experiment.data.time_unit());
         if experiment.outputs.is_empty() {
             return setup(format!("{source}: no output is compared with a column"));
         }
@@ -59,7 +59,7 @@ impl Measurements {
         let last = outputs.iter().filter_map(|o| o.times.last()).copied().fold(f64::NEG_INFINITY, f64::max);
         let warm_up = experiment.warm_up.unwrap_or(0.0);
         if !(warm_up.is_finite() && warm_up >= 0.0) {
-            return setup(format!("warm_up = {} must be a number of seconds of at least 0", Number(warm_up)));
+            return setup(format!("warm_up = {} must be a finite number of at least 0", Number(warm_up)));
         }
         let before_windows = experiment.warm_up.filter(|_| !experiment.windows.is_empty());
         let before_windows = before_windows.map(|warm_up| first(&outputs) - warm_up);
@@ -71,8 +71,8 @@ impl Measurements {
                 if measured.times.is_empty() {
                     let [start, warm_up, last] = [start_time, warm_up, last].map(Number);
                     return setup(format!(
-                        "{source}: no measurement of '{variable}' (column '{column}') remains after the warm-up of {warm_up} s from \
-                         {start} s; the last one is at {last} s. Set a shorter warm_up"
+                        "{source}: no measurement of '{variable}' (column '{column}') remains after the warm-up of {warm_up} {unit} \
+                         from {start} {unit}; the last one is at {last} {unit}. Set a shorter warm_up"
                     ));
                 }
             }
@@ -81,7 +81,7 @@ impl Measurements {
         if first < start_time - tolerance {
             let [first, start] = [first, start_time].map(Number);
             return setup(format!(
-                "{source}: the first measurement is at {first} s, before the simulation starts at {start} s. Set start_time = \
+                "{source}: the first measurement is at {first} {unit}, before the simulation starts at {start} {unit}. Set start_time = \
                  {first}, or a window that begins later"
             ));
         }
@@ -95,14 +95,15 @@ impl Measurements {
     /// Rejects a simulation that starts long before the recording, if its start time is only the default of
     /// the model.
     fn check_begin(&self, experiment: &Experiment) -> Result<(), CalibrationError> {
-        let (begin, start_time) = (experiment.data.time()[0], self.start_time);
+        let (begin, start_time, unit) =
+            (experiment.data.time()[0], self.start_time, experiment.data.time_unit());
         let tolerance = (MOST_BEFORE + 1.0) * base::time_tolerance(start_time, self.last_time());
         match experiment.data.sampling_interval() {
             Some(interval) if begin - start_time > MOST_BEFORE * interval + tolerance => {
                 let [begin, start, before] = [begin, start_time, begin - start_time].map(Number);
                 setup(format!(
-                    "{}: the recording begins at {begin} s, but the simulation begins at {start} s. Set start_time = {begin} to \
-                     start with the recording, or start_time = {start} to also simulate the {before} s before it",
+                    "{}: the recording begins at {begin} {unit}, but the simulation begins at {start} {unit}. Set start_time = {begin} to \
+                     start with the recording, or start_time = {start} to also simulate the {before} {unit} before it",
                     experiment.data.source()
                 ))
             }

@@ -15,7 +15,7 @@ pub enum Target<'a> {
     /// Variables of the model, all set to the same value. They are parameters, or variables with a start
     /// value. States are referred to by their names.
     Variables(&'a [String]),
-    /// Delay of a compared output or of an input, in s: `y(t - delay)`.
+    /// Delay of a compared output or of an input, in the time unit of the model: `y(t - delay)`.
     Delay(&'a str),
     /// Offset that is added to a compared output or to an input.
     Offset(&'a str),
@@ -80,7 +80,7 @@ pub struct Parameter {
     pub(super) experiments: Option<Vec<String>>,
     /// Variables of the model to set.
     pub(super) variables: Option<Vec<String>>,
-    /// The output or input that the parameter delays, in s.
+    /// The output or input that the parameter delays.
     pub(super) delay_of: Option<String>,
     /// The output or input that the parameter is added to.
     pub(super) offset_of: Option<String>,
@@ -220,7 +220,7 @@ impl Parameter {
         Self { variables, delay_of: None, offset_of: None, factor_of: None, ..self }.normalised()
     }
 
-    /// Makes the parameter the delay tau in s of a compared output or of an input. An output `y(t - tau)` is
+    /// Makes the parameter the delay tau of a compared output or of an input, in the time unit of the model. An output `y(t - tau)` is
     /// compared with the measurement at t. An input is `u(t - tau)`. The name of the parameter can then be
     /// chosen freely. Before the start, an output has its value at the start, and an input has the value of
     /// its first row. The lower bound must be finite. Negative values delay the recording instead.
@@ -390,7 +390,7 @@ impl Parameter {
     }
 
     /// Returns the variable that defines the unit and nominal value: the first variable that the parameter
-    /// sets, or the one that it offsets. Returns `None` for a delay, which is in s, and for a factor.
+    /// sets, or the one that it offsets. Returns `None` for a delay, which is a time, and for a factor.
     pub fn variable(&self) -> Option<&str> {
         match self.target() {
             Target::Variables(names) => names.first().map(String::as_str),
@@ -409,12 +409,13 @@ impl Parameter {
         self.unit.as_deref()
     }
 
-    /// Returns the unit of its values: the given unit, otherwise the unit of its variable, or s for a delay.
+    /// Returns the unit of its values: the given unit, otherwise the unit of its variable, or the time unit of
+    /// the model for a delay.
     /// Returns `None` if the model declares no unit.
     pub fn unit<'a>(&'a self, description: &'a ModelDescription) -> Option<&'a str> {
         let of_model = || match self.variable() {
             Some(name) => description.variable(name).and_then(|v| v.unit.as_deref()),
-            None => matches!(self.target(), Target::Delay(_)).then_some("s"),
+            None => matches!(self.target(), Target::Delay(_)).then(|| description.time_unit()),
         };
         self.unit.as_deref().or_else(of_model)
     }

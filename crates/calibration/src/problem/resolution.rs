@@ -151,10 +151,7 @@ pub(crate) fn check_names(
             ));
         }
         if !delay.is_finite() {
-            return setup(format!(
-                "the delay {} of '{variable}' must be a finite number of seconds",
-                Number(*delay)
-            ));
+            return setup(format!("the delay {} of '{variable}' must be a finite number", Number(*delay)));
         }
         if experiment.delays[..i].iter().any(|(name, _)| name == variable) {
             return setup(format!("the delay of '{variable}' is set twice"));

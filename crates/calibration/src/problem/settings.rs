@@ -1,6 +1,6 @@
 //! Settings of the simulations of a fit.
 
-use crate::data::Unit;
+use crate::data::{TimeUnit, Unit};
 use crate::error::CalibrationError;
 #[cfg(feature = "schema")]
 use crate::problem::schema;
@@ -32,6 +32,10 @@ pub struct SimulationSettings {
     pub max_description_bytes: Option<u64>,
     /// Units of variables without a declared unit, by name. Recorded columns are converted to these units.
     pub units: BTreeMap<String, String>,
+    /// Unit in which the model counts its time, such as `h`; default: the unit that the model states for its
+    /// independent variable, otherwise s. Recorded times are converted to this unit. Windows, start times,
+    /// delays, step sizes and results are in this unit.
+    pub time_unit: Option<String>,
 }
 
 /// Description of a field of the settings in messages.
@@ -79,7 +83,15 @@ impl SimulationSettings {
     ///
     /// # Errors
     /// Returns an error if a unit is invalid, or if a variable is unknown or has a different unit.
-    pub(crate) fn with_units(&self, fmu: fmi::Fmu) -> Result<fmi::Fmu, CalibrationError> {
+    pub(crate) fn with_units(&self, mut fmu: fmi::Fmu) -> Result<fmi::Fmu, CalibrationError> {
+        if let Some(unit) = &self.time_unit {
+            if TimeUnit::named(unit, fmu.description()).length.is_none() {
+                return Err(CalibrationError::Setup(format!(
+                    "time_unit: '{unit}' is not a unit of time; expected s, ms, us, ns, min, h or d"
+                )));
+            }
+            fmu = fmu.with_time_unit(unit);
+        }
         if self.units.is_empty() {
             return Ok(fmu);
         }
@@ -115,7 +127,7 @@ impl SimulationSettings {
 /// its number of fields, and files would have several forms.
 impl Serialize for SimulationSettings {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        let Self { run, isolation, memory_limit, sandbox, max_description_bytes, units } = self;
+        let Self { run, isolation, memory_limit, sandbox, max_description_bytes, units, time_unit } = self;
         let Ok(Value::Record(mut fields)) = Value::of(run) else {
             return Err(serde::ser::Error::custom("the settings of a run are not a record"));
         };
@@ -125,6 +137,7 @@ impl Serialize for SimulationSettings {
             ("sandbox", Value::of(sandbox)),
             ("max_description_bytes", Value::of(max_description_bytes)),
             ("units", Value::of(units)),
+            ("time_unit", Value::of(time_unit)),
         ];
         for (name, value) in others {
             fields.insert(name.to_owned(), value.map_err(serde::ser::Error::custom)?);

@@ -69,8 +69,10 @@ pub enum SetupWarning {
         data: String,
         /// Number of such rows.
         n: usize,
-        /// Time of the first one, in s.
+        /// Time of the first one.
         time: f64,
+        /// Unit of the time.
+        time_unit: String,
     },
     /// A setting is ignored; the sentence gives the setting and the reason.
     NoEffect(String),
@@ -146,11 +148,11 @@ impl SetupWarning {
             Self::ClockChange { data, change } => {
                 finding(FindingId::ClockChange, data, change.symptom(), change.remedy())
             }
-            Self::DuplicateRows { data, n, time } => finding(
+            Self::DuplicateRows { data, n, time, time_unit } => finding(
                 FindingId::DuplicateRows,
                 data,
                 format!(
-                    "number of rows with the time and all measured values of the row before: {n}, the first at {} s. Their \
+                    "number of rows with the time and all measured values of the row before: {n}, the first at {} {time_unit}. Their \
                      measurements count twice",
                     Number(*time)
                 ),
@@ -217,7 +219,8 @@ pub(crate) fn duplicate_rows(experiment: &Experiment) -> Option<SetupWarning> {
     };
     let rows: Vec<usize> = (1..time.len()).filter(is_duplicate).collect();
     let first = time[*rows.first().filter(|_| !columns.is_empty())?];
-    Some(SetupWarning::DuplicateRows { data: data.source().to_owned(), n: rows.len(), time: first })
+    let (source, time_unit) = (data.source().to_owned(), data.time_unit().to_owned());
+    Some(SetupWarning::DuplicateRows { data: source, n: rows.len(), time: first, time_unit })
 }
 
 /// Returns a warning if an hour is missing or repeated in the times of a recording.

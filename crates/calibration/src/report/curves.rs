@@ -26,9 +26,11 @@ const CURVE_POINTS: usize = 2001;
 pub struct ExperimentCurves {
     /// Name of the experiment.
     pub name: String,
+    /// Unit of all times: the time unit of the model.
+    pub time_unit: String,
     /// First time of the recording as written in the file, if times are dates.
     pub first_date: Option<String>,
-    /// Windows in which measurements count, in s; empty if all measurements count.
+    /// Windows in which measurements count; empty if all measurements count.
     pub windows: Vec<(f64, f64)>,
     /// Outputs, in the order of the residual vector.
     pub outputs: Vec<OutputCurves>,
@@ -58,7 +60,7 @@ pub struct Signal {
     pub variable: String,
     /// Unit, if the model declares it.
     pub unit: Option<String>,
-    /// Times, in s.
+    /// Times, in the time unit of the model.
     pub times: Vec<f64>,
     /// Values.
     pub values: Vec<f64>,
@@ -138,6 +140,7 @@ impl Calibration {
             let inputs = experiment.inputs.iter().filter_map(input).collect();
             Ok(ExperimentCurves {
                 name,
+                time_unit: experiment.data.time_unit().to_owned(),
                 first_date: experiment.data.first_date().map(str::to_owned),
                 windows: experiment.windows.clone(),
                 outputs: of_experiment.map(output).collect(),

@@ -29,6 +29,8 @@ pub(crate) struct LiveSubject {
     experiments: Vec<String>,
     /// Units of the outputs.
     units: HashMap<String, String>,
+    /// Time unit of the model.
+    time_unit: String,
     began: Instant,
 }
 
@@ -95,6 +97,7 @@ impl LiveSubject {
             bounds: calibration.parameters().iter().map(|p| (p.lower(), p.upper())).collect(),
             experiments: calibration.problem().experiment_names(),
             units: outputs.filter_map(|output| unit(&output.variable)).collect(),
+            time_unit: description.time_unit().to_owned(),
             began: Instant::now(),
         }
     }
@@ -167,6 +170,7 @@ impl LiveSubject {
     fn curves_of(&self, found: &LiveResiduals) -> Vec<ExperimentCurves> {
         let mut all: Vec<ExperimentCurves> = (self.experiments.iter())
             .map(|name| ExperimentCurves {
+                time_unit: self.time_unit.clone(),
                 first_date: None,
                 name: name.clone(),
                 windows: Vec::new(),

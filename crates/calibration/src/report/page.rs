@@ -84,10 +84,8 @@ fn figures(experiments: &[ExperimentCurves]) -> Vec<Figure> {
 
 /// Returns the label of the time axis of an experiment.
 fn time_axis(experiment: &ExperimentCurves) -> String {
-    experiment
-        .first_date
-        .as_ref()
-        .map_or_else(|| "time in s".to_owned(), |date| format!("time in s from {date}"))
+    let from = experiment.first_date.as_ref().map_or_else(String::new, |date| format!(" from {date}"));
+    format!("time in {}{from}", experiment.time_unit)
 }
 
 /// Draws the recorded inputs, one panel each. A line ends where the recording has no value.

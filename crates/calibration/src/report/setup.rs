@@ -56,12 +56,13 @@ fn words(value: &Value) -> String {
 /// Returns the parts of an experiment.
 pub(super) fn experiment(experiment: &Experiment) -> Vec<Described> {
     let data = experiment.data.summary();
-    let seconds = |time: f64| format!("{} s", Number(time));
-    let span = |(from, to): (f64, f64)| format!("{} to {}", Number(from), seconds(to));
+    let unit = experiment.data.time_unit();
+    let in_unit = |time: f64| format!("{} {unit}", Number(time));
+    let span = |(from, to): (f64, f64)| format!("{} to {}", Number(from), in_unit(to));
     let list = |items: Vec<String>| (!items.is_empty()).then(|| items.join("; "));
     let times = data.from.zip(data.to).map(|times| format!(", {}", span(times))).unwrap_or_default();
     let first_date = experiment.data.first_date();
-    let begins = first_date.map_or_else(String::new, |date| format!(", in s from {date} on"));
+    let begins = first_date.map_or_else(String::new, |date| format!(", in {unit} from {date} on"));
     let facts = [
         ("outputs", list(experiment.outputs.iter().map(output).collect())),
         (
@@ -72,10 +73,10 @@ pub(super) fn experiment(experiment: &Experiment) -> Vec<Described> {
         ("rows", Some(format!("{}{times}{begins}", data.n_rows))),
         ("column of times", (data.time != "time").then(|| data.time.to_owned())),
         ("mask", data.mask.map(str::to_owned)),
-        ("resample", data.resample.map(|interval| format!("means over {}", seconds(interval)))),
+        ("resample", data.resample.map(|interval| format!("means over {}", in_unit(interval)))),
         ("windows", list(experiment.windows.iter().map(|window| span(*window)).collect())),
-        ("warm-up", experiment.warm_up.map(seconds)),
-        ("start time", experiment.start_time.map(seconds)),
+        ("warm-up", experiment.warm_up.map(in_unit)),
+        ("start time", experiment.start_time.map(in_unit)),
         (
             "start values",
             list(experiment.start_values.iter().map(|(name, value)| format!("{name} = {value}")).collect()),
@@ -87,7 +88,7 @@ pub(super) fn experiment(experiment: &Experiment) -> Vec<Described> {
         (
             "delays",
             list(
-                experiment.delays.iter().map(|(name, delay)| format!("{name} {}", seconds(*delay))).collect(),
+                experiment.delays.iter().map(|(name, delay)| format!("{name} {}", in_unit(*delay))).collect(),
             ),
         ),
         ("SHA-256 of the file", data.file_sha256.map(str::to_owned)),

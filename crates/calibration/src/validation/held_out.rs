@@ -22,7 +22,7 @@ use std::fmt;
 /// Data to validate a fit on.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ValidationSet {
-    /// Measurements of the calibration in these windows, each from and to a time in s. Simulations start at
+    /// Measurements of the calibration in these windows, each from and to a time. Simulations start at
     /// their usual times, so that the model reaches a window with its history.
     Windows(Vec<(f64, f64)>),
     /// Other recordings.
@@ -41,6 +41,9 @@ pub struct Validation {
     pub outputs: Vec<ValidatedOutput>,
     /// Number of measurements that count.
     pub n: usize,
+    /// Unit of the times.
+    #[serde(default = "second")]
+    pub time_unit: String,
     /// Root mean square of the weighted residuals. It uses plain residuals even with a loss.
     pub rms: f64,
     /// RMS at the start of the fit; `None` if the simulation failed there.
@@ -61,7 +64,7 @@ pub struct Validation {
 pub struct ValidatedOutput {
     /// Quality of fit of the output.
     pub fit: OutputFit,
-    /// Times of the measurements, in s.
+    /// Times of the measurements, in the time unit of the model.
     pub times: Vec<f64>,
     /// Measured values.
     pub measured: Vec<f64>,
@@ -69,6 +72,11 @@ pub struct ValidatedOutput {
     pub residuals: Vec<f64>,
     /// Simulated minus measured at the start of the fit; `None` if the simulation failed there.
     pub start_residuals: Option<Vec<f64>>,
+}
+
+/// Returns the unit of times in files of older versions.
+fn second() -> String {
+    "s".to_owned()
 }
 
 impl ValidatedOutput {
@@ -278,6 +286,7 @@ impl Calibration {
             x: x.to_vec(),
             outputs: outputs.collect(),
             n,
+            time_unit: self.fmu().description().time_unit().to_owned(),
             rms: rms(&end),
             start_rms: start.as_ref().map(rms),
             findings: Vec::new(),

@@ -3,7 +3,7 @@
 use super::names;
 use super::names::NameIndex;
 use super::unit::Unit;
-use super::variable::{TypeDefinition, Variable};
+use super::variable::{Causality, TypeDefinition, Variable};
 use super::version::FmiVersion;
 use crate::macros::words;
 use serde::{Deserialize, Serialize};
@@ -50,6 +50,8 @@ pub struct ModelDescription {
     pub type_definitions: Vec<TypeDefinition>,
     /// Categories of log messages.
     pub log_categories: Vec<LogCategory>,
+    /// Unit of the time, if it was given with [`Fmu::with_time_unit`](crate::Fmu::with_time_unit).
+    pub(crate) given_time_unit: Option<String>,
     /// Suggested time span, tolerance and step size.
     pub default_experiment: DefaultExperiment,
     /// Variables in the order of the file.
@@ -72,6 +74,14 @@ pub struct ModelDescription {
 }
 
 impl ModelDescription {
+    /// Returns the unit in which the model counts its time: the unit of the independent variable, otherwise s
+    /// (FMI 2.0.4, section 2.2.7; FMI 3.0.1, section 2.4.7.4). All times of simulations are in this unit.
+    pub fn time_unit(&self) -> &str {
+        let independent = || self.variables.iter().find(|v| v.causality == Causality::Independent);
+        let stated = || independent()?.unit.as_deref().map(str::trim).filter(|unit| !unit.is_empty());
+        self.given_time_unit.as_deref().or_else(stated).unwrap_or("s")
+    }
+
     /// Returns the variable with this name, in constant time.
     pub fn variable(&self, name: &str) -> Option<&Variable> {
         self.variable_index(name).map(|index| &self.variables[index])
@@ -172,7 +182,8 @@ pub struct LogCategory {
     pub description: Option<String>,
 }
 
-/// Suggested settings of a simulation. Times are in seconds.
+/// Suggested settings of a simulation. Times are in the [time unit](ModelDescription::time_unit) of the
+/// model.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct DefaultExperiment {
     /// Start time.

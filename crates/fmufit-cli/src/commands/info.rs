@@ -83,11 +83,12 @@ fn header(fmu: &Fmu) -> String {
     let tool = description.generation_tool.iter().chain(&description.generation_date_and_time);
     lines.push(tool.cloned().collect::<Vec<_>>().join(", "));
     let experiment = &description.default_experiment;
+    let unit = format!(" {}", description.time_unit());
     let facts = [
-        ("start", experiment.start_time, " s"),
-        ("stop", experiment.stop_time, " s"),
+        ("start", experiment.start_time, &unit[..]),
+        ("stop", experiment.stop_time, &unit),
         ("tolerance", experiment.tolerance, ""),
-        ("step", experiment.step_size, " s"),
+        ("step", experiment.step_size, &unit),
     ];
     let facts =
         facts.iter().filter_map(|(name, value, unit)| value.map(|v| format!("{name} {}{unit}", Number(v))));

@@ -63,8 +63,11 @@ pub(crate) fn run(arguments: &Simulate, console: &Console) -> Result<Exit, Error
         console.note(&format!("warning: {reported}"));
     }
     if trajectory.termination == Termination::StoppedByModel {
-        console
-            .note(&format!("warning: the model ended the simulation at {} s", Number(trajectory.end_time)));
+        console.note(&format!(
+            "warning: the model ended the simulation at {} {}",
+            Number(trajectory.end_time),
+            fmu.description().time_unit()
+        ));
     }
     for path in output.into_iter().chain(&arguments.plot) {
         console.note(&format!("wrote {}", path.display()));

@@ -56,8 +56,10 @@ pub(crate) fn run(arguments: &Validate, console: &Console) -> Result<Exit, Error
     }
     let outcome = match simulated(&fmu, &options, Place::Worker { sandbox: arguments.sandbox }, console) {
         Ok(trajectory) => match trajectory.not_finite() {
-            None => Ok(result(&trajectory)),
-            Some(found) => Err((Run::Ended, format!("{}; {found}", result(&trajectory)))),
+            None => Ok(result(&trajectory, fmu.description().time_unit())),
+            Some(found) => {
+                Err((Run::Ended, format!("{}; {found}", result(&trajectory, fmu.description().time_unit()))))
+            }
         },
         Err(CalibrationError::Cancelled) => return Err(Error::interrupted()),
         Err(error) => Err((Run::Failed, error.to_string())),
@@ -95,11 +97,11 @@ pub(crate) fn run(arguments: &Validate, console: &Console) -> Result<Exit, Error
 }
 
 /// Returns the end time and the counts of a simulation.
-fn result(trajectory: &Trajectory) -> String {
+fn result(trajectory: &Trajectory, unit: &str) -> String {
     let (end, stats, n_events) = (Number(trajectory.end_time), &trajectory.stats, trajectory.events.len());
     let by_model = match trajectory.termination {
         Termination::StoppedByModel => ", ended by the model",
         _ => "",
     };
-    format!("to {end} s{by_model}, {} steps, {n_events} events", stats.accepted_steps)
+    format!("to {end} {unit}{by_model}, {} steps, {n_events} events", stats.accepted_steps)
 }

@@ -245,7 +245,12 @@ impl PyCalibration {
         self.inner().rms(&x, cost)
     }
 
-    /// Name of the integration method.
+    /// Time unit of the model.
+    fn time_unit(&self) -> String {
+        self.inner().fmu().description().time_unit().to_owned()
+    }
+
+    /// Returns the name of the integration method.
     fn solver(&self) -> &'static str {
         self.inner().solver().name()
     }

@@ -15,10 +15,10 @@ use std::path::PathBuf;
 type Change = (String, String, bool);
 
 /// Returns the position of the time column among columns of these names, and the length of its unit in s as a
-/// fraction.
+/// fraction, if it states one.
 #[pyfunction]
 #[pyo3(signature = (names, time=None))]
-pub(crate) fn find_time(names: Vec<String>, time: Option<&str>) -> PyResult<(usize, (f64, f64))> {
+pub(crate) fn find_time(names: Vec<String>, time: Option<&str>) -> PyResult<(usize, Option<(f64, f64)>)> {
     let found = TimeColumn::find(names.iter().map(String::as_str), time);
     found.map(|column| (column.index, column.unit)).map_err(PyValueError::new_err)
 }

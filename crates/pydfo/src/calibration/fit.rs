@@ -136,6 +136,11 @@ impl PyFit {
         self.compute(py, |calibration, fit, context| calibration.report(fit, path, context))
     }
 
+    /// Time unit of the model.
+    fn time_unit(&self) -> String {
+        self.calibration.inner.fmu().description().time_unit().to_owned()
+    }
+
     /// Returns the curves to plot, per experiment.
     fn curves<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         object::to_python(py, &self.compute(py, Calibration::curves)?)

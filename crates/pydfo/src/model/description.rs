@@ -6,11 +6,13 @@ use crate::convert::fmu_error;
 use crate::convert::object;
 use crate::convert::values;
 use crate::model::files;
+use calibration::TimeColumn;
 use fmi::description::{Dimension, Terminal, TypeDefinition};
 use fmi::{
     DescriptionLimits, InterfaceKind, LoaderOptions, LogFilter, LogOptions, ModelDescription, OpenOptions,
 };
 use pyo3::IntoPyObjectExt;
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PyList, PyString, PyTuple};
 use std::path::{Path, PathBuf};
@@ -121,6 +123,19 @@ impl Fmu {
         Ok(Self { fmu: fmu.map_err(|e| fmu_error::raise(py, &e))? })
     }
 
+    /// Returns the factor that converts times in a unit (its length in s as a fraction, or None if none is
+    /// stated) to the time unit of the model, as a fraction.
+    #[pyo3(signature = (unit))]
+    fn time_factor(&self, unit: Option<(f64, f64)>) -> PyResult<(f64, f64)> {
+        let factor = TimeColumn { index: 0, unit }.factor_for(self.description());
+        factor.ok_or_else(|| {
+            let own = self.description().time_unit();
+            PyValueError::new_err(format!(
+                "the model counts its independent variable in '{own}', which is not a unit of time. Remove the unit from the times"
+            ))
+        })
+    }
+
     /// Returns the way in which the model is reset between simulations, as far as comparisons with new
     /// processes have shown.
     fn reuse(&self) -> &'static str {
@@ -163,6 +178,7 @@ impl Fmu {
             d => model_name, guid, description, author, version, copyright, license, generation_tool,
             generation_date_and_time, variable_naming_convention, n_event_indicators;
             "fmi_version": &d.fmi_version.text,
+            "time_unit": d.time_unit(),
             "n_states": d.n_states(),
             "default_experiment": object::to_python(py, &d.default_experiment)?,
             "model_exchange": object::to_python(py, &d.model_exchange)?,

@@ -76,6 +76,7 @@ pub(crate) fn record<'py>(
         "extents": recorded.iter().map(|variable| variable.extents.clone()).collect::<Vec<_>>(),
         "types": recorded.iter().map(|variable| variable.kind.name()).collect::<Vec<_>>(),
         "units": recorded.iter().map(|variable| unit(&variable.name)).collect::<Vec<_>>(),
+        "time_unit": description.time_unit(),
         "left": PyArray1::from_vec(py, left),
         "event_times": PyArray1::from_vec(py, event_times),
         "event_kinds": trajectory.events.iter().map(|event| causes(&event.cause)).collect::<Vec<_>>(),

@@ -160,6 +160,9 @@ impl Calibration {
             match &ends.end {
                 Some(end) if report.termination.cause().allows_evaluations() => {
                     found.extend(self.check_after_fit(ends.start.as_ref(), end));
+                    if let Some(start) = &ends.start {
+                        found.extend(self.other_time_unit_at_start(start, &job.context, stats));
+                    }
                     if self.is_co_simulation() && budget.allows(Extra::Accuracy, self.price_of_accurate()) {
                         found.extend(self.large_step_after_fit(end, &job.context, stats));
                     }

@@ -24,7 +24,7 @@ fn large_fixed_step_is_compared_with_half_the_step() {
     assert!(
         preflight.is_step_halved
             && preflight.to_string().contains("with half the step. Smaller changes")
-            && preflight.to_string().contains("\n         -> Set a smaller step_size than 0.25 s")
+            && preflight.to_string().contains("\n         -> Set a smaller step_size than 0.25")
     );
     assert!(preflight.parameters[0].has_effect);
     // The search is long enough for one more simulation.

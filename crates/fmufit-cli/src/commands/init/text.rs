@@ -28,7 +28,10 @@ pub(super) fn text(
         "#   fmufit check FILE    checks this file for mistakes".to_owned(),
         "#   fmufit fit FILE      fits the parameters".to_owned(),
         "#   fmufit schema > problem.schema.json    lets editors check this file".to_owned(),
-        "# Paths are relative to the folder of this file. Times are in s.".to_owned(),
+        format!(
+            "# Paths are relative to the folder of this file. Times are in {}.",
+            one_line(description.time_unit())
+        ),
         String::new(),
         format!(
             "model = {}  # {}, FMI {}",

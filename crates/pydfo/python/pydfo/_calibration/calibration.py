@@ -84,9 +84,10 @@ class Calibration(Evaluation):
 
         The times are the column ``time`` (in upper or lower case), the index of a DataFrame with this name, or an index
         of dates. The name may include a unit in brackets or parentheses, such as ``time [ms]``. The units are s, ms,
-        us, ns, min, h and d, spelled exactly like this. Durations (``timedelta64``, ``datetime.timedelta``) are also
+        us, ns, min, h and d, spelled exactly like this. Times without a unit are in the time unit of the model, which is
+        s unless the model or `time_unit` state another one. Durations (``timedelta64``, ``datetime.timedelta``) are also
         times. Dates and times of day (``datetime64``, ``datetime``, strings such as 2024-05-31T13:45:10.5 or 31.05.2024
-        13:45:10) are converted to seconds since the first one.
+        13:45:10) are converted to the time since the first one.
 
         A column name may include a unit (``phi [deg]``, ``T (degC)``), which may be omitted in arguments (``phi``).
         If the model also declares a unit of the variable, the column is converted. Units of different quantities are
@@ -102,7 +103,7 @@ class Calibration(Evaluation):
         the rows, unless the column is given as `Hold`; other inputs are held constant. A time that occurs twice is a
         jump. Values of a dict may also be numbers or functions of time, see `Experiment`.
     window : (float, float), optional
-        Interval of time in s. Only measurements in this interval count. The simulation still starts at its start
+        Interval of time. Only measurements in this interval count. The simulation still starts at its start
         time.
     weights : dict, or sequence, optional
         Factor of the residuals of each output; default 1. Use the inverse of the standard deviation of the noise if
@@ -114,18 +115,23 @@ class Calibration(Evaluation):
     start_values : dict, optional
         Values of other parameters and start values of variables, by name. Fitted parameters are not allowed.
     start_time : float, optional
-        Start time of the simulations in s. It defaults to the start time of the model's default experiment, or 0. It
+        Start time of the simulations. It defaults to the start time of the model's default experiment, or 0. It
         is required if the recording starts more than ten of its sampling intervals later.
     units : dict of str to str, optional
         Units of outputs and inputs for which the model declares no unit: ``{"room.T": "K"}``. Columns with a unit are
         converted to it.
+    time_unit : str, optional
+        Unit in which the model counts its time, such as "h". It defaults to the unit that the model states for its
+        independent variable, otherwise s. Times of recordings that state a unit are converted to it. All other times are
+        in this unit: times without a unit, `window`, `start_time`, `warm_up`, `resample`, `delays`, step sizes, results
+        and plots.
     time : str, optional
         Name of the time column if it is not ``time``. The unit may be omitted.
     mask : array of bool or str, optional
         Selects the rows whose measurements count. Pass one entry per row, or the name of a column, which selects a
         row if its value is neither 0 nor missing. Inputs count in all rows.
     resample : float, optional
-        Interval in s, at least the sampling interval of the recording. Times and columns are replaced by their means
+        Interval of time, at least the sampling interval of the recording. Times and columns are replaced by their means
         over each interval, excluding masked rows. The weights become weights of the means, see `Experiment`.
     sheet, initial_states, windows, warm_up, delays, hold_inputs : optional
         Settings of the single recording, as in `Experiment`.
@@ -173,6 +179,7 @@ class Calibration(Evaluation):
         time: str | None = None,
         sheet: str | None = None,
         units: Mapping[str, str] | None = None,
+        time_unit: str | None = None,
         mask: Any = None,
         resample: SupportsFloat | None = None,
         initial_states: Mapping[str, SupportsFloat | str | Parameter] | None = None,
@@ -214,6 +221,7 @@ class Calibration(Evaluation):
             if not isinstance(parameter, Parameter):
                 raise TypeError(f"{needed}, not of {_text.show(parameter)}")
         record: dict[str, Any] = {**asdict(simulated), **asdict(run_in), "units": dict(_values.units(units))}
+        record["time_unit"] = None if time_unit is None else _values.choice("time_unit", time_unit)
         record["solver"] = _solver(simulated.solver)
         if simulated.kind is None:
             record["kind"] = getattr(model, "kind", "auto")

@@ -84,7 +84,7 @@ def read_recording(data: Any, needed: list[str], time: str | None, sheet: str | 
     return found
 
 
-def _find_time(names: list[str], time: str | None) -> tuple[int, tuple[float, float]]:
+def _find_time(names: list[str], time: str | None) -> tuple[int, tuple[float, float] | None]:
     try:
         return _core.find_time(names, time)
     except ValueError as e:
@@ -94,7 +94,7 @@ def _find_time(names: list[str], time: str | None) -> tuple[int, tuple[float, fl
 def _selected(source: _data_files.Columns, needed: list[str], time: str | None) -> Table:
     """Returns the times and the required columns."""
     names = source.names
-    index, (numerator, denominator) = _find_time(names, time)
+    index, unit = _find_time(names, time)
     at = names[index]
     taken = [at]
     for name in needed:
@@ -107,7 +107,7 @@ def _selected(source: _data_files.Columns, needed: list[str], time: str | None) 
             taken.append(found)
     table = source.read(taken)
     durations, change = _seconds(table[at], at)
-    if durations is not None and numerator != denominator:
+    if durations is not None and unit is not None and unit[0] != unit[1]:
         raise BadCalibrationError(
             f"data: column '{at}' contains durations or dates, which include their unit; remove the unit from its name"
         )

@@ -158,7 +158,7 @@ class Evaluation:
         x : array_like or dict, optional
             As in `cost`.
         times : array_like, optional
-            Times of the rows in s, ascending; default: the measured times that count.
+            Times of the rows, ascending; default: the measured times that count.
 
         outputs : str or iterable of str, optional
             Variables of the model to record directly, without the delays or offsets of outputs. Pass names, elements
@@ -183,7 +183,7 @@ class Evaluation:
         return self._by_experiment(self._native.simulate(self._values(x), rows))
 
     def measurements(self) -> dict[str, Any]:
-        """Returns the measurements as read: times in s and values by output, without missing values.
+        """Returns the measurements as read: times and values by output, without missing values.
 
         With several experiments, returns a dict of these results by experiment name."""
         found: dict[str, Any] = self._by_experiment(

@@ -72,7 +72,7 @@ class Experiment:
         rows (`Hold`), a number (constant), or a function of time.
         A function must be smooth and deterministic. To pickle the calibration, the function must be importable.
     window : (float, float), optional
-        Interval of time in s. Only measurements in this interval count. Equivalent to a single entry of `windows`.
+        Interval of time, like all times in the time unit of the model (see `Calibration`). Only measurements in this interval count. Equivalent to a single entry of `windows`.
     weights : dict, or sequence, optional
         Factor of the residuals of each output: a number, or one number per measurement, as a column or as an array as
         long as the recording. An array of Booleans is a mask. Measurements with weight 0 do not count. Weights refer
@@ -95,7 +95,7 @@ class Experiment:
         the start of its search in this experiment. Alternatively, the path of an SSP parameter file (``.ssv``). Its
         values for fitted or driven variables are ignored.
     start_time : float, optional
-        Start time of the simulation in s.
+        Start time of the simulation.
     time : str, optional
         Name of the time column if it is not ``time``.
     sheet : str, optional
@@ -105,7 +105,7 @@ class Experiment:
         Selects the rows whose measurements count. Pass one entry per row, or the name of a column, which selects a
         row if its value is neither 0 nor missing. Inputs count in all rows.
     resample : float, optional
-        Interval in s. Times and columns are replaced by their means over each interval, excluding masked rows.
+        Interval of time. Times and columns are replaced by their means over each interval, excluding masked rows.
         Weights other than 1 apply to the rows. The mean of a measured column is then weighted with their squares, and
         the weight of the mean is the square root of the sum of these squares. Columns of Boolean and integer inputs
         are not averaged. They keep the times at which they change.
@@ -119,14 +119,14 @@ class Experiment:
         is set after it. In a co-simulation, such a state raises an error if it is fitted or measured, and a warning if
         it is a number.
     windows : sequence of (float, float), optional
-        Intervals of time in s. Only measurements in one of these intervals count.
+        Intervals of time. Only measurements in one of these intervals count.
     warm_up : float, optional
-        Duration in s from the start of the simulation that is not compared, so that the effect of the initial states
+        Duration from the start of the simulation that is not compared, so that the effect of the initial states
         decays. With windows and without `start_time`, the simulation starts this long before the first measurement in
         the windows. Otherwise the start time does not change, and measurements before the end of the warm-up do not
         count.
     delays : dict of str to float, optional
-        Delay in s of a compared output or of an input. ``y(t - delay)`` is compared with the measurement at t, with
+        Delay of a compared output or of an input. ``y(t - delay)`` is compared with the measurement at t, with
         the value at the start for earlier times. The model is driven by ``u(t - delay)``. A fitted delay is a
         ``Parameter("tau", 0.05, 0, 1, delay_of="y")``.
     hold_inputs : bool

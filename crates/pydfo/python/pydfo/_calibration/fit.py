@@ -404,7 +404,7 @@ class Fit(OptimizeResult):
         x : array_like, shape (n,), optional
             Values of the parameters that replace the fitted ones.
         times : array_like, optional
-            Times of the rows in s; default: the measured times.
+            Times of the rows; default: the measured times.
         outputs : str or iterable of str, optional
             Variables of the model to record directly, without the delays or offsets of outputs. Pass names, elements
             of arrays, patterns with ``*`` and ``?``, or "all".
@@ -434,7 +434,7 @@ class Fit(OptimizeResult):
             Other recordings. Local parameters are unknown for these recordings. They are first fitted to them from
             their start values, with all other parameters held fixed.
         windows : (float, float) or list of such, optional
-            Other windows of the recordings of the calibration, in s. Simulations start at their usual start time, so
+            Other windows of the recordings of the calibration. Simulations start at their usual start time, so
             the state at the start of a window is simulated.
 
         Returns
@@ -469,7 +469,7 @@ class Fit(OptimizeResult):
         Parameters
         ----------
         times : array_like, optional
-            Times of the predictions in s, ascending; default: the measured times.
+            Times of the predictions, ascending; default: the measured times.
         level : float
             Probability covered by each interval.
         outputs : list of str, optional

@@ -106,7 +106,7 @@ class Parameter:
     variables : list of str, optional
         Variables of the model that the parameter sets, all to one value.
     delay_of : str, optional
-        Compared output or input with this parameter as its delay in s. ``y(t - tau)`` is compared with the
+        Compared output or input with this parameter as its delay. ``y(t - tau)`` is compared with the
         measurement at t, with the value at the start for earlier times. An input becomes ``u(t - tau)``. The
         parameter requires a finite lower bound.
     offset_of : str, optional

@@ -31,11 +31,11 @@ class Simulation:
         measurements make the cost uncertain by less than `f_tol` near the best values. ``fit.tolerance`` and a note
         among the findings report the choice.
     step_size : float, optional
-        Step size of the fixed-step methods, or communication step of co-simulation, in s. If a co-simulation cannot
+        Step size of the fixed-step methods, or communication step of co-simulation, in the time unit of the model. If a co-simulation cannot
         stop at the measured times, values are interpolated linearly between its steps, see `between_steps` in
         `FMUModel.simulate`.
     max_step : float, optional
-        Largest step of the other methods, in s.
+        Largest step of the other methods, in the time unit of the model.
     timeout : float, optional
         Wall-clock limit of one simulation in s. A simulation that reaches the limit counts as failed. The limit of a
         whole fit is the argument `max_time` of `Calibration.fit`.

@@ -10,7 +10,7 @@ from .._args import text as _text
 from .._args import values as _values
 from .._args.keywords import explained
 
-#: One window or several, each (from, to) in s.
+#: One window or several, each (from, to).
 Windows = tuple[SupportsFloat, SupportsFloat] | Sequence[tuple[SupportsFloat, SupportsFloat]]
 
 
@@ -22,7 +22,7 @@ class Stage:
     parameters : sequence of str
         Names of the parameters to free: all values of a local parameter (``"T0"``), or one of them (``"T0[run1]"``).
     windows : (float, float) or list of such, optional
-        Intervals of time in s. Only measurements in these intervals count in this stage; default: the measurements
+        Intervals of time. Only measurements in these intervals count in this stage; default: the measurements
         that count in the calibration.
     method, x_tol, f_tol, options : optional
         As in `Calibration.fit`; default: the arguments of `Calibration.fit`.
@@ -77,7 +77,7 @@ def intervals(name: str, value: Any) -> list[tuple[float, float]]:
     """Returns one window, or several, as a list."""
     if value is None:
         return []
-    wrong = f"{name} must be a pair (from, to) in s, or a list of pairs, not {_text.show(value)}"
+    wrong = f"{name} must be a pair (from, to), or a list of pairs, not {_text.show(value)}"
     if isinstance(value, (str, bytes, Mapping)) or not isinstance(value, Iterable):
         raise TypeError(wrong)
     pairs = list(value)

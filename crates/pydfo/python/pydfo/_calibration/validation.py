@@ -49,7 +49,7 @@ class ValidatedOutput:
     fit_percent: float
     """``100 (1 - |simulated - measured| / |measured - mean|)``; NaN if the measurements do not vary."""
     time: FloatArray
-    """Times of the measurements, in s."""
+    """Times of the measurements, in the time unit of the model."""
     measured: FloatArray
     """Measured values."""
     simulated: FloatArray
@@ -80,6 +80,8 @@ class Validation:
         there), and their ratio.
     n : int
         Number of measurements that count.
+    time_unit : str
+        Unit of the times.
     outputs : list of ValidatedOutput
         Each output of each experiment: RMS, fit percentage, measured and simulated values.
     parameters : dict of str to float
@@ -94,6 +96,7 @@ class Validation:
     """
 
     n: int
+    time_unit: str
     rms: float
     start_rms: float | None
     n_simulations: int
@@ -151,7 +154,7 @@ class Validation:
             upper.legend(loc="best", fontsize="small")
             lower.axhline(0.0, color="0.3", linewidth=0.5)
             lower.set_ylabel("simulated - measured" + unit)
-            lower.set_xlabel("time [s]")
+            lower.set_xlabel(f"time [{self.time_unit}]")
             lower.legend(loc="best", fontsize="small")
         return figure
 
@@ -224,7 +227,7 @@ class PredictionBand:
     unit: str | None
     """Unit of the output, if the model declares one."""
     time: FloatArray
-    """Times in s."""
+    """Times."""
     value: FloatArray
     """Predicted values."""
     standard_error: FloatArray

@@ -23,7 +23,7 @@ class DefaultExperiment:
     Attributes
     ----------
     start_time, stop_time, step_size : float or None
-        Start time, stop time and step size in s.
+        Start time, stop time and step size, in the time unit of the model.
     tolerance : float or None
         Relative tolerance.
     """
@@ -332,6 +332,9 @@ class Description:
         In FMI 3.0, the guid is the instantiation token.
     description, author, version, copyright, license, generation_tool, generation_date_and_time : str or None
     variable_naming_convention : {"flat", "structured"} or None
+    time_unit : str
+        Unit in which the model counts its time, as it states for its independent variable; "s" by default. All times of
+        simulations are in this unit.
     n_states, n_event_indicators : int
     default_experiment : DefaultExperiment
     model_exchange, co_simulation : Interface or None
@@ -351,6 +354,7 @@ class Description:
     generation_tool: str | None
     generation_date_and_time: str | None
     variable_naming_convention: str | None
+    time_unit: str
     n_states: int
     n_event_indicators: int
     default_experiment: DefaultExperiment

@@ -47,11 +47,11 @@ def normalize(
     if isinstance(given, (str, os.PathLike)):
         return _recording(os.fspath(given), fmu, start_values, parameter_set), []
     if isinstance(given, Mapping):
-        return _mapping(given)
+        return _mapping(given, fmu)
     if isinstance(given, np.ndarray) and given.dtype.names is not None:
-        return [_table(given.dtype.names, lambda name: given[name].ravel(), "the structured array")], []
+        return [_table(given.dtype.names, lambda name: given[name].ravel(), "the structured array", fmu)], []
     if hasattr(given, "columns") and hasattr(given, "to_numpy"):
-        return [_frame(given)], []
+        return [_frame(given, fmu)], []
     if callable(given):
         inputs = fmu.names_of("input")
         if len(inputs) != 1:
@@ -100,7 +100,7 @@ def held_beyond(tables: list[Table], first: float, last: float) -> str:
     return ""
 
 
-def _mapping(given: Mapping[Any, Any]) -> tuple[list[Table], list[Function]]:
+def _mapping(given: Mapping[Any, Any], fmu: _core.Fmu) -> tuple[list[Table], list[Function]]:
     for name in given:
         if not isinstance(name, str):
             raise TypeError(f"names of inputs must be strings, not {_text.show(name)}")
@@ -110,23 +110,24 @@ def _mapping(given: Mapping[Any, Any]) -> tuple[list[Table], list[Function]]:
     # A table with a single row is constant.
     tables = [_columns(np.zeros(1), constants)] if constants else []
     if names and names != ["time"]:
-        tables.append(_table(names, lambda name: given[name], "the dict"))
+        tables.append(_table(names, lambda name: given[name], "the dict", fmu))
     return tables, functions
 
 
-def _frame(given: Any) -> Table:
+def _frame(given: Any, fmu: _core.Fmu) -> Table:
     columns: dict[str, Any] = {str(name): given[name] for name in given.columns}
     index = getattr(given, "index", None)
     name = getattr(index, "name", None)
     if isinstance(name, str):
         columns.setdefault(name, index)
-    return _table(list(columns), lambda name: columns[name].to_numpy(), "the DataFrame")
+    return _table(list(columns), lambda name: columns[name].to_numpy(), "the DataFrame", fmu)
 
 
-def _table(names: Sequence[str], column: Callable[[str], Any], what: str) -> Table:
-    """Returns the columns of a table. The times are the column "time", converted to s from the unit in its name."""
+def _table(names: Sequence[str], column: Callable[[str], Any], what: str, fmu: _core.Fmu) -> Table:
+    """Returns the columns of a table. The times are the column "time", converted from the unit in its name to the time
+    unit of the model."""
     try:
-        at, (numerator, denominator) = _core.find_time(list(names))
+        at, unit = _core.find_time(list(names))
     except ValueError as e:
         if not any("time" in name.lower() for name in names):
             there = _text.names(names[:10])
@@ -137,9 +138,10 @@ def _table(names: Sequence[str], column: Callable[[str], Any], what: str) -> Tab
         raise ValueError(f"{what} of inputs: {e}") from None
     given = column(names[at])
     durations = _data.seconds(given)
-    if durations is not None and numerator != denominator:
+    if durations is not None and unit is not None and unit[0] != unit[1]:
         raise ValueError(f"{what} of inputs: '{_text.line(names[at])}' contains durations, which include their unit; remove the unit from its name")
     times = _column(names[at], given if durations is None else durations)
+    numerator, denominator = fmu.time_factor(unit if durations is None else (1.0, 1.0))
     if numerator != denominator:
         times = times * numerator / denominator
     return _columns(times, {name: column(name) for k, name in enumerate(names) if k != at})

@@ -304,7 +304,7 @@ class FMUModel:
     ) -> SimulationResult:
         """Simulates a freshly reset model with all values of `set`.
 
-        Times are in s. The FMU runs in a separate process, which is kept for the next call. The interpreter lock is
+        Times are in the time unit of the model (``description.time_unit``), usually s. The FMU runs in a separate process, which is kept for the next call. The interpreter lock is
         released during the simulation. Ctrl-C ends the simulation, and also its process if the FMU does not return
         within 0.1 s.
 

@@ -112,13 +112,13 @@ class SimulationResult(Mapping[str, Column]):
     Attributes
     ----------
     time : ndarray, shape (rows,)
-        Times in s.
+        Times in the time unit of the model (``units["time"]``), usually s.
     left_limit : ndarray of bool, shape (rows,)
         True if a row contains the limit from the left.
     termination : {"finished", "stopped-by-model"}
         "finished" if the final time was reached, "stopped-by-model" if the model requested the end.
     end_time : float
-        End time in s.
+        End time.
     """
 
     def __init__(
@@ -130,6 +130,7 @@ class SimulationResult(Mapping[str, Column]):
         extents: list[list[int]],
         types: list[str],
         units: list[str | None],
+        time_unit: str,
         left: npt.NDArray[np.bool_],
         event_times: FloatArray,
         event_kinds: list[str],
@@ -146,7 +147,7 @@ class SimulationResult(Mapping[str, Column]):
         # Converted on first access, because the conversion takes as long as a short simulation.
         self._event_times, self._event_kinds, self._stats = event_times, event_kinds, stats
         self._tick_times, self._tick_clocks = tick_times, tick_clocks
-        self._names, self._type_names, self._unit_names = names, types, units
+        self._names, self._type_names, self._unit_names, self._time_unit = names, types, units, time_unit
         self._columns: dict[str, Column] = {"time": time}
         # Names of the elements of each array, with their columns.
         self._elements: dict[str, dict[str, Column]] = {}
@@ -166,7 +167,7 @@ class SimulationResult(Mapping[str, Column]):
     @cached_property
     def units(self) -> dict[str, str | None]:
         """Units of the variables by name; None if the model does not declare one."""
-        return {"time": "s", **dict(zip(self._names, self._unit_names))}
+        return {"time": self._time_unit, **dict(zip(self._names, self._unit_names))}
 
     @cached_property
     def ticks(self) -> dict[str, FloatArray]:
@@ -303,7 +304,7 @@ class SimulationResult(Mapping[str, Column]):
             for name, column in self.items()
             if name != "time"
         }
-        return _optional_libraries.library("xarray", "to_xarray()").Dataset(data, coords={"time": ("time", self.time, {"units": "s"})})
+        return _optional_libraries.library("xarray", "to_xarray()").Dataset(data, coords={"time": ("time", self.time, {"units": self._time_unit})})
 
     def plot(self, names: str | Sequence[str] | None = None) -> Figure:
         """Draws columns over time, with one plot per unit. Needs matplotlib.
@@ -343,7 +344,7 @@ class SimulationResult(Mapping[str, Column]):
             axes.set_ylabel(_text.line(unit or ""))
             axes.grid(alpha=0.3)
             axes.legend(loc="best", fontsize="small")
-        plots[-1, 0].set_xlabel("time [s]")
+        plots[-1, 0].set_xlabel(f"time [{self._time_unit}]")
         return figure
 
 

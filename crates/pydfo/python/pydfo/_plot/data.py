@@ -50,7 +50,7 @@ def recordings(calibration: _core.Calibration) -> Figure:
                     low, high = max(low, time[0]), min(high, time[-1])
                     if low < high:
                         axis.axvspan(low, high, color="0.85", zorder=0)
-        axes[len(series) - 1, column].set_xlabel("time [s]")
+        axes[len(series) - 1, column].set_xlabel(f"time [{calibration.time_unit()}]")
         axes[len(series) - 1, column].tick_params(labelbottom=True)
         if len(recorded) > 1:
             axes[0, column].annotate(name, (0.5, 1.25), xycoords="axes fraction", ha="center", weight="bold")

@@ -65,7 +65,7 @@ def fit(fit: Fit, native: _core.Fit) -> Figure:
         for axes_of_experiment in panels.values():
             for axes in axes_of_experiment[:-1]:
                 axes.tick_params(labelbottom=False)
-            axes_of_experiment[-1].set_xlabel("time [s]")
+            axes_of_experiment[-1].set_xlabel(f"time [{experiments[0]['time_unit']}]")
     values = [f"{short(name)} = {value:.5g}" for name, value in fit.parameters.items()]
     title = ", ".join(values) if len(values) <= MOST_VALUES else None
     figure.legend(

@@ -82,7 +82,7 @@ def sensitivity(native: _core.Fit, names: list[str]) -> Figure:
         axes.set_visible(False)
     if over_time:
         for axes in grid[-1]:
-            axes.set_xlabel("time [s]")
+            axes.set_xlabel(f"time [{native.time_unit()}]")
         handles, _ = grid[0, 0].get_legend_handles_labels()
         figure.legend(handles=handles, loc="outside lower center", ncols=min(len(names), 4), fontsize="small")
     figure.suptitle("Change of the outputs by a relative change of each parameter", fontsize="medium")
