@@ -272,6 +272,19 @@ def test_csv_with_durations_of_pandas_is_read(tmp_path, first):
     assert cost(tmp_path / "run.csv", start_time=first) == pytest.approx(COST, rel=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("cell", "said"),
+    [
+        ("-0 days 00:00:12", "-1 days \\+23:59:48 is -12 s"),
+        ("2016-12-31T23:59:60Z", "line 2.*seconds go from 0 to 59; remove rows with a leap second"),
+    ],
+)
+def test_ambiguous_times_are_rejected(tmp_path, cell, said):
+    (tmp_path / "run.csv").write_text(f"time,x\n{cell},1\n")
+    with pytest.raises(BadCalibrationError, match=said):
+        cost(tmp_path / "run.csv")
+
+
 def test_csv_with_dates_of_matlab_is_read(tmp_path):
     """`writetable` writes a datetime as 31-May-2024 23:59:59, and with other display formats its milliseconds."""
     texts = [when.astype("datetime64[us]").item().strftime("%d-%b-%Y %H:%M:%S.%f")[:-3] for when in dates()]

@@ -383,6 +383,7 @@ def test_given_first_population_is_evaluated_first_with_any_workers(method):
         ({"options": {"initial_simplex": [0.1, np.nan]}}, ValueError, r"initial_simplex\[1\] = nan must be finite"),
         ({"options": {"initial_simplex": [[0, 0], [1, np.inf], [2, 0]]}}, ValueError, r"initial_simplex\[1, 1\] = inf must be"),
         ({"method": "de", "options": {"initial_population": "sobol"}}, TypeError, r"must be points of shape \(m, 2\), not 'sobol'"),
+        ({"method": "de", "options": {"initial_population": 1j * np.eye(4, 2)}}, TypeError, r"must be points of shape \(m, 2\), not array"),
         ({"method": "de", "options": {"initial_population": np.ones(2)}}, ValueError, r"shape \(2,\); expected points of shape \(m, 2\)"),
         ({"method": "de", "options": {"initial_population": [[0, np.nan]]}}, ValueError, r"initial_population\[0, 1\] = nan must be finite"),
         ({"method": "de", "options": {"initial_population": np.eye(2)}}, ValueError, "population = 2 must be large enough"),

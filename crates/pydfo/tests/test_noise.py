@@ -164,5 +164,6 @@ def test_log_normal_noise_is_a_regression_of_logarithms() -> None:
     recorded = 3.0 * np.exp(-T) * np.exp(0.1 * np.random.default_rng(5).standard_normal(51))
     slope, intercept = np.polyfit(T, np.log(recorded), 1)
     assert fit.x[0] == pytest.approx(-slope, rel=1e-3) and fit.x[1] == pytest.approx(np.exp(intercept), rel=1e-3)
+    assert varying("LOG", "log").cost(fit.x) == calibration.cost(fit.x)
     with pytest.raises(ValueError, match="must be positive for sigma 'log'"):
         Calibration(example_fmu("dahlquist"), {"time": T, "x": recorded - 1}, "x", [Parameter("k", 1, 0, 9)], sigma="log")

@@ -109,6 +109,9 @@ pub fn date_seconds(
 
 fn parse(cell: &str, pair: Option<PairUnit>) -> Option<(Form, i128)> {
     let cell = cell.trim().replace(',', ".");
+    if has_leap_second(&cell) {
+        return None;
+    }
     if let Ok(instant) = cell.parse::<Timestamp>() {
         return Some((Form::Instant, instant.as_nanosecond()));
     }
@@ -140,17 +143,36 @@ pub(super) fn is_duration(cell: &str) -> bool {
 }
 
 /// Converts a duration as pandas writes it, `1 days 02:03:04.5` or `1 days`, to nanoseconds. The time counts
-/// forwards after negative days, too: `-1 days +23:59:59` is -1 s.
+/// forwards after negative days, too: `-1 days +23:59:59` is -1 s. Other tools count it backwards, so
+/// negative days require the sign.
 fn duration(cell: &str) -> Option<i128> {
     let (days, rest) = cell.split_once(" day")?;
+    let is_negative = days.starts_with('-');
     let days = i128::from(days.parse::<i32>().ok()?);
     let rest = rest.strip_prefix('s').unwrap_or(rest);
     let after = match rest.strip_prefix(' ') {
-        Some(time) => of_day(Time::strptime(TIME_OF_DAY, time.strip_prefix('+').unwrap_or(time)).ok()?)?,
+        Some(time) => match time.strip_prefix('+') {
+            Some(time) => of_day(Time::strptime(TIME_OF_DAY, time).ok()?)?,
+            None if is_negative => return None,
+            None => of_day(Time::strptime(TIME_OF_DAY, time).ok()?)?,
+        },
         None if rest.is_empty() => 0,
         None => return None,
     };
     Some(days * NANOSECONDS_PER_DAY + after)
+}
+
+/// True if the second of a time is 60, with or without colons. The parsers read it as 59, and times without
+/// leap seconds cannot contain it.
+fn has_leap_second(cell: &str) -> bool {
+    cell.match_indices("60").any(|(at, _)| {
+        let (before, after) = (&cell.as_bytes()[..at], &cell.as_bytes()[at + 2..]);
+        let is_digit = |byte: &u8| byte.is_ascii_digit();
+        let is_compact = before.len() > 4
+            && before[before.len() - 4..].iter().all(is_digit)
+            && matches!(before[before.len() - 5], b'T' | b't' | b' ');
+        !after.first().is_some_and(is_digit) && (before.ends_with(b":") || is_compact)
+    })
 }
 
 /// Returns the time since midnight in nanoseconds.
@@ -186,7 +208,11 @@ fn has_named_month(cell: &str) -> bool {
 }
 
 fn complaint(cell: &str) -> String {
-    let hint = if cell.matches('/').count() == 2 {
+    let hint = if has_leap_second(cell) {
+        " (seconds go from 0 to 59; remove rows with a leap second)"
+    } else if cell.trim_start().starts_with('-') && cell.contains(" day") {
+        " (after negative days, pandas writes the sign of the time, which counts forwards: -1 days +23:59:48 is -12 s)"
+    } else if cell.matches('/').count() == 2 {
         " (day and month are ambiguous)"
     } else if cell.to_lowercase().ends_with('m') && cell.contains(':') {
         " (write hours from 0 to 23)"
@@ -279,10 +305,16 @@ mod tests {
             (&["31-Mai-2024 10:00:00"], (0, "expected a date such as 31-May-2024")),
             (&["1 days 25:00:00"], (0, "neither")),
             (&["1 days10:00:00"], (0, "neither")),
-            (
-                &["0 days 00:00:00", "00:00:01"],
-                (1, "a different format from the first date, '0 days 00:00:00'"),
-            ),
+            (&["-0 days 00:00:12"], (0, "-1 days +23:59:48 is -12 s")),
+            (&["-1 days 23:59:48"], (0, "-1 days +23:59:48 is -12 s")),
+            (&["2016-12-31T23:59:59Z", "2016-12-31T23:59:60Z"], (1, "seconds go from 0 to 59")),
+            (&["2024-05-31 10:00:60"], (0, "seconds go from 0 to 59")),
+            (&["20240531T100060"], (0, "seconds go from 0 to 59")),
+            (&["31.05.2024 10:00:60.5"], (0, "seconds go from 0 to 59")),
+            (&["31-May-2024 10:00:60"], (0, "seconds go from 0 to 59")),
+            (&["10:00:60"], (0, "seconds go from 0 to 59")),
+            (&["0 days 00:00:60"], (0, "seconds go from 0 to 59")),
+            (&["0 days 00:00:00", "00:00:01"], (1, "a different format from the first date, '0 days 00:00:00'")),
             (
                 &["2024-05-31", "10:00:00"],
                 (1, "'10:00:00' has a different format from the first date, '2024-05-31'"),

@@ -150,8 +150,8 @@ impl Sigma {
 }
 
 impl Weight {
-    /// Returns the weight of a text that describes the noise of a measured column: `log` for the
-    /// [logarithm](Self::Log), an [`ErrorModel`] such as `0.1 + 0.05*abs(y)`, otherwise the values of the
+    /// Returns the weight of a text that describes the noise of a measured column: `log` (in upper or lower
+    /// case) for the [logarithm](Self::Log), an [`ErrorModel`] such as `0.1 + 0.05*abs(y)`, otherwise the values of the
     /// column with this name.
     ///
     /// # Errors
@@ -161,7 +161,7 @@ impl Weight {
         if !Self::is_sigma(text) {
             return Ok(Sigma::Column(text.to_owned()).into());
         }
-        if text == LOGARITHM {
+        if text.eq_ignore_ascii_case(LOGARITHM) {
             return Ok(Self::Log(1.0));
         }
         match text.parse::<ErrorModel>() {
@@ -176,7 +176,7 @@ impl Weight {
 
     /// True if a text given as sigma is not the name of a column.
     pub fn is_sigma(text: &str) -> bool {
-        text == LOGARITHM || ErrorModel::is_meant(text)
+        text.eq_ignore_ascii_case(LOGARITHM) || ErrorModel::is_meant(text)
     }
 
     /// Returns the column with the weights or standard deviations, if any.

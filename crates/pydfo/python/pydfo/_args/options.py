@@ -176,6 +176,8 @@ def all_cores() -> int:
 def check_simplex(value: npt.ArrayLike, n: int) -> None:
     """Raises an error if `value` is neither the vertices nor the steps of a simplex."""
     try:
+        if np.iscomplexobj(value):
+            raise TypeError
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise TypeError(f"initial_simplex must be numbers, not {show(value)}") from None
@@ -192,6 +194,8 @@ def check_simplex(value: npt.ArrayLike, n: int) -> None:
 def population(value: npt.ArrayLike, n: int) -> FloatArray:
     """Returns the members of a first population as an array, and checks its shape and that it is finite."""
     try:
+        if np.iscomplexobj(value):
+            raise TypeError
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise TypeError(f"initial_population must be points of shape (m, {n}), not {show(value)}") from None

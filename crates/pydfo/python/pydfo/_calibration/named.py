@@ -12,13 +12,17 @@ import numpy.typing as npt
 class NamedValues(dict[str, float]):
     """Numbers by name. ``np.asarray`` returns them in order."""
 
+    def to_dict(self) -> dict[str, float]:
+        """Returns the numbers by name as a dict, for example for ``json.dumps``."""
+        return dict(self)
+
     def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
         return np.array(list(self.values()), dtype=dtype)
 
 
 class NamedArray(np.ndarray[Any, np.dtype[np.float64]]):
-    """Array whose entries have names: ``a["k"]``, ``a.keys()``, ``a.items()``. Results of calculations and slices are
-    arrays without names.
+    """Array whose entries have names: ``a["k"]``, ``a.get("k")``, ``a.keys()``, ``a.values()``, ``a.items()``,
+    ``a.to_dict()``. Results of calculations and slices are arrays without names.
 
     Parameters
     ----------
@@ -62,6 +66,18 @@ class NamedArray(np.ndarray[Any, np.dtype[np.float64]]):
     def keys(self) -> tuple[str, ...]:
         """Returns the names."""
         return self.names
+
+    def values(self) -> list[float]:
+        """Returns the numbers."""
+        return self.tolist()  # type: ignore[no-any-return]
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """Returns the number with this name, or `default` if there is none."""
+        return self[name] if name in self.names else default
+
+    def to_dict(self) -> dict[str, float]:
+        """Returns the numbers by name as a dict, for example for ``json.dumps``."""
+        return dict(self.items())
 
     def items(self) -> Iterator[tuple[str, float]]:
         """Returns pairs of name and number."""
