@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -34,3 +37,25 @@ def test_bootstrap_reports_wrong_arguments() -> None:
         fit.bootstrap(3, rng=1).intervals(2)
     with pytest.raises(ValueError, match="requires a sum of squares"):
         calibration.fit(objective="likelihood").bootstrap(5)
+
+
+def test_bootstrap_continues_from_its_file(tmp_path: Path) -> None:
+    data = {"time": T, "x": np.exp(-2.0 * T) + 0.01 * np.sin(9 * T)}
+    fit = Calibration(example_fmu("dahlquist"), data, "x", [Parameter("k", 1.5, 0.1, 9)]).fit()
+    file = tmp_path / "k.boot"
+    part = fit.bootstrap(4, rng=5, workers=2, checkpoint=file)
+    saved = json.loads(file.read_text())
+    assert len(saved["fits"]) == 4 and saved["seed"] == 5
+    # A stored value is used instead of another fit.
+    saved["fits"]["2"] = [1.25]
+    file.write_text(json.dumps(saved))
+    more = fit.bootstrap(7, workers=1, checkpoint=file)
+    assert more.seed == 5 and more.samples[2] == 1.25
+    whole = fit.bootstrap(7, rng=5).samples
+    assert np.delete(more.samples, 2).tobytes() == np.delete(whole, 2).tobytes() and part.samples.tobytes() == whole[:4].tobytes()
+    for own, said in [({"rng": 6}, "another seed"), ({"kind": "block"}, "another kind")]:
+        with pytest.raises(ValueError, match=f"k.boot contains a bootstrap .*{said}.* Specify another file"):
+            fit.bootstrap(7, checkpoint=file, **own)  # type: ignore[arg-type]
+    file.write_text("[]")
+    with pytest.raises(ValueError, match="k.boot is not a file of a bootstrap"):
+        fit.bootstrap(7, checkpoint=file)

@@ -3,4 +3,3 @@
 pub(crate) mod bands;
 pub(crate) mod posterior;
 pub(crate) mod profile;
-mod saved_file;

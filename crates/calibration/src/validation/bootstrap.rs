@@ -7,14 +7,18 @@ use crate::error::CalibrationError;
 use crate::findings::display_text::{digits, visible_line};
 use crate::fit::one_stage::{Fit, FitNoise, FitOptions, NoiseRule};
 use crate::loaded::calibration::Calibration;
+use crate::problem::fingerprint::hash_of_bytes;
 use crate::problem::objective::CostKind;
 use crate::problem::residual_layout::OutputResiduals;
 use crate::uncertainty::robust::quantile;
+use crate::validation::saved_fits::SavedFits;
 use base::RunContext;
-use dfo::{RunOptions, draw_seed, standard_normals, uniforms};
+use dfo::{RunOptions, standard_normals, uniforms};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;
+use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
 
 /// Source of the synthetic errors, which are added to the simulation of the fit (Efron and Tibshirani, An
 /// Introduction to the Bootstrap, 1993, chapters 8 and 9).
@@ -35,7 +39,7 @@ pub enum BootstrapKind {
 }
 
 /// Options of [`Calibration::bootstrap`].
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct BootstrapOptions {
     /// Number of fits; default 200, for standard errors. Percentile intervals require about 1000.
     pub n: usize,
@@ -46,11 +50,14 @@ pub struct BootstrapOptions {
     pub seed: Option<u64>,
     /// Number of fits that run in parallel; default: all cores.
     pub workers: Option<usize>,
+    /// File with the completed fits. An existing file of the same bootstrap is continued, also with a larger
+    /// `n`; its seed is used if none is given.
+    pub checkpoint: Option<PathBuf>,
 }
 
 impl Default for BootstrapOptions {
     fn default() -> Self {
-        Self { n: 200, kind: BootstrapKind::default(), seed: None, workers: None }
+        Self { n: 200, kind: BootstrapKind::default(), seed: None, workers: None, checkpoint: None }
     }
 }
 
@@ -148,8 +155,9 @@ impl Calibration {
     ///
     /// # Errors
     /// Returns an error if the fit did not minimise a sum of squares, if there are no more measurements than
-    /// parameters, or if the simulation fails. Returns [`CalibrationError::Cancelled`] if the context has
-    /// ended.
+    /// parameters, or if the simulation fails. Also returns an error if the file contains another bootstrap,
+    /// or cannot be read or written. Returns [`CalibrationError::Cancelled`] if the context has ended; the
+    /// file then contains the completed fits.
     pub fn bootstrap(
         &self,
         fit: &Fit,
@@ -192,8 +200,14 @@ impl Calibration {
         };
         let errors: Vec<Errors> = self.residual_layout().outputs.iter().map(errors).collect();
         self.prepare()?;
-        let seed = options.seed.unwrap_or_else(draw_seed);
+        let saved = self.bootstrap_file(fit, options)?;
+        let seed = saved.seed;
+        let saved = Mutex::new(saved);
+        let held = || saved.lock().unwrap_or_else(PoisonError::into_inner);
         let task = |number: usize, context: &RunContext<'_>| {
+            if let Some(known) = held().fits.get(&number) {
+                return Ok(known.clone());
+            }
             let drawn = errors.iter().enumerate();
             let drawn = drawn.map(|(k, of)| of.draw(options.kind, seed, number * errors.len() + k));
             let drawn: Vec<Vec<f64>> = drawn.collect();
@@ -208,11 +222,16 @@ impl Calibration {
             });
             match fitted {
                 _ if context.is_over() => Err(CalibrationError::Cancelled),
-                fitted => Ok(fitted.ok().filter(|fit| fit.report.is_success()).map(|fit| fit.x)),
+                fitted => {
+                    let x = fitted.ok().filter(|fit| fit.report.is_success()).map(|fit| fit.x);
+                    held().add(number, x.clone());
+                    Ok(x)
+                }
             }
         };
         let workers = options.workers.unwrap_or_else(base::available_cores);
         let made = parallel::map(options.n, workers, context, &task).into_iter();
+        held().write();
         let made: Vec<Option<Vec<f64>>> =
             made.map(|x| x.unwrap_or(Err(CalibrationError::Cancelled))).collect::<Result<_, _>>()?;
         let n_failed = made.iter().filter(|x| x.is_none()).count();
@@ -224,6 +243,25 @@ impl Calibration {
             kind: options.kind,
             seed,
         })
+    }
+
+    /// Opens the file of a bootstrap with everything that its fits depend on.
+    fn bootstrap_file(&self, fit: &Fit, options: &BootstrapOptions) -> Result<SavedFits, CalibrationError> {
+        let bounds: Vec<_> = self
+            .parameters()
+            .iter()
+            .map(|p| (p.lower(), p.upper(), p.scale_kind(), p.nominal_size(), p.is_fixed()))
+            .collect();
+        let is_known = fit.noise.as_ref().is_some_and(FitNoise::is_known);
+        let words = format!(
+            "{} {:?} {bounds:?} {:?} {:?} {is_known}",
+            self.problem_hash(),
+            fit.x,
+            fit.report.loss,
+            options.kind
+        );
+        let (path, seed) = (options.checkpoint.as_deref(), options.seed);
+        SavedFits::open(path, hash_of_bytes(words.as_bytes()), fit.x.len(), seed)
     }
 
     /// Returns a copy whose measurements are the simulation plus these weighted errors.

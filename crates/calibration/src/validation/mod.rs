@@ -3,3 +3,4 @@
 pub(crate) mod bootstrap;
 pub(crate) mod cross_validation;
 pub(crate) mod held_out;
+mod saved_fits;

@@ -16,7 +16,7 @@ use dfo::{
 use example_models::example_fmu;
 use fmi::Fmu;
 use std::ops::ControlFlow;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 fn open(model: &str) -> Fmu {
     Fmu::open(example_fmu(model).unwrap()).unwrap()
@@ -591,7 +591,8 @@ fn bootstrap_has_the_standard_error_of_a_linear_parameter_for_any_number_of_work
     let fit = calibration.fit(run(LeastSquares::default())).unwrap();
     for kind in [BootstrapKind::Parametric, BootstrapKind::Residual, BootstrapKind::Block] {
         let of = |n, workers| {
-            let options = BootstrapOptions { n, kind, seed: Some(3), workers: Some(workers) };
+            let workers = Some(workers);
+            let options = BootstrapOptions { n, kind, seed: Some(3), workers, ..BootstrapOptions::default() };
             calibration.bootstrap(&fit, &options, &RunContext::new()).unwrap()
         };
         let found = of(100, 2);
@@ -606,4 +607,55 @@ fn bootstrap_has_the_standard_error_of_a_linear_parameter_for_any_number_of_work
     }
     let options = BootstrapOptions { n: 0, ..BootstrapOptions::default() };
     assert!(calibration.bootstrap(&fit, &options, &RunContext::new()).is_err());
+}
+
+#[test]
+fn bootstrap_continues_from_its_file_bit_for_bit() {
+    let (calibration, _) = linear_decay(0.05, Sigma::Constant(0.05));
+    let fit = calibration.fit(run(LeastSquares::default())).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("run.boot");
+    let options = |n, seed| BootstrapOptions {
+        n,
+        seed,
+        workers: Some(2),
+        checkpoint: Some(file.clone()),
+        ..BootstrapOptions::default()
+    };
+    let whole = BootstrapOptions { checkpoint: None, workers: Some(1), ..options(12, Some(3)) };
+    let asked = AtomicUsize::new(0);
+    let count = || asked.fetch_add(1, Ordering::Relaxed) == usize::MAX;
+    let whole = calibration.bootstrap(&fit, &whole, &RunContext::new().asking(&count)).unwrap();
+    // The first run ends after about half of its fits.
+    let half = asked.into_inner() / 2;
+    let saved = || serde_json::from_slice::<serde_json::Value>(&std::fs::read(&file).unwrap()).unwrap();
+    let n_saved = || saved()["fits"].as_object().unwrap().len();
+    let asked = AtomicUsize::new(0);
+    let is_over = || asked.fetch_add(1, Ordering::Relaxed) > half;
+    let first = BootstrapOptions { workers: Some(1), ..options(12, Some(3)) };
+    let ended = calibration.bootstrap(&fit, &first, &RunContext::new().asking(&is_over));
+    assert!(matches!(ended, Err(CalibrationError::Cancelled)), "{ended:?}");
+    let n = n_saved();
+    assert!((1..12).contains(&n), "{n}");
+    // The seed of the file applies, and a larger number of fits continues.
+    let some = calibration.bootstrap(&fit, &options(n + 1, None), &RunContext::new()).unwrap();
+    assert_eq!((some.samples.as_slice(), some.seed, n_saved()), (&whole.samples[..=n], 3, n + 1));
+    let all = calibration.bootstrap(&fit, &options(12, Some(3)), &RunContext::new()).unwrap();
+    assert_eq!((all, n_saved()), (whole, 12));
+    let refused = |options: &BootstrapOptions| {
+        let before = std::fs::read(&file).unwrap();
+        let message = calibration.bootstrap(&fit, options, &RunContext::new()).unwrap_err().to_string();
+        assert_eq!(std::fs::read(&file).unwrap(), before);
+        assert!(message.contains("run.boot") && message.contains("Specify another file"), "{message}");
+        message
+    };
+    let block = BootstrapOptions { kind: BootstrapKind::Block, ..options(12, Some(3)) };
+    assert!(refused(&block).contains("of another fit or problem, or of another kind"));
+    assert!(refused(&options(12, Some(4))).contains("with another seed"));
+    let mut damaged = saved();
+    damaged["fits"]["0"] = serde_json::json!([1.0, 2.0, 3.0]);
+    std::fs::write(&file, damaged.to_string()).unwrap();
+    assert!(refused(&options(12, Some(3))).contains("is damaged"));
+    std::fs::write(&file, b"{}").unwrap();
+    assert!(refused(&options(12, Some(3))).contains("is not a file of a bootstrap of this version"));
 }

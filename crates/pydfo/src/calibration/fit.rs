@@ -119,8 +119,9 @@ impl PyFit {
         kind: &str,
         seed: Option<u64>,
         workers: Option<usize>,
+        checkpoint: Option<PathBuf>,
     ) -> PyResult<(Bound<'py, PyAny>, String)> {
-        let options = BootstrapOptions { n, kind: read("kind", kind)?, seed, workers };
+        let options = BootstrapOptions { n, kind: read("kind", kind)?, seed, workers, checkpoint };
         let found =
             self.compute(py, move |calibration, fit, context| calibration.bootstrap(fit, &options, context))?;
         Ok((object::to_python(py, &found)?, found.to_string()))

@@ -1,21 +1,13 @@
 //! File of a chain, with the identity of its problem.
 
 use crate::error::CalibrationError;
-use crate::intervals::saved_file;
+use crate::loaded::saved_file::{self, LastWrite};
 use dfo::EnsembleSampler;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
 
 /// Format name in the file.
 const FORMAT: &str = "fmufit posterior 1";
-
-/// Minimum interval between two writes.
-const SHORTEST: Duration = Duration::from_millis(200);
-
-/// The whole file is written each time. The interval is at least this multiple of the duration of a write, so
-/// that writing takes at most a tenth of the time.
-const SHARE: u32 = 10;
 
 /// Draws of all steps, in the user's units: step by step, walker by walker.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -30,9 +22,8 @@ pub(super) struct SavedChain {
     pub(super) n_failed: usize,
     #[serde(skip)]
     file: Option<PathBuf>,
-    /// End of the last write and its duration.
     #[serde(skip)]
-    written: Option<(Instant, Duration)>,
+    written: LastWrite,
 }
 
 impl SavedChain {
@@ -48,7 +39,7 @@ impl SavedChain {
             n_simulations: 0,
             n_failed: 0,
             file: path.map(Path::to_owned),
-            written: None,
+            written: LastWrite::default(),
         };
         let Some(path) = path else { return Ok(chain) };
         let unreadable = "is not a file of a sample of this version";
@@ -83,19 +74,17 @@ impl SavedChain {
 
     /// Writes the file if the last write was long enough ago.
     pub(super) fn write_at_times(&mut self, sampler: &EnsembleSampler) {
-        if self.written.is_none_or(|(at, took)| at.elapsed() >= SHORTEST.max(SHARE * took)) {
+        if self.written.is_due() {
             self.write(sampler);
         }
     }
 
     /// Writes the file, if there is one. A failure only causes a warning, so that the chain is not lost.
     pub(super) fn write(&mut self, sampler: &EnsembleSampler) {
-        let Some(path) = &self.file else { return };
-        let began = Instant::now();
+        let Some(path) = self.file.clone() else { return };
         self.sampler = Some(sampler.clone());
-        if let Err(error) = saved_file::write(path, self) {
-            log::warn!("the sample was not saved: {error}");
-        }
-        self.written = Some((Instant::now(), began.elapsed()));
+        let mut written = self.written;
+        written.write(&path, self, "the sample");
+        self.written = written;
     }
 }

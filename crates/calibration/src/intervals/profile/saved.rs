@@ -2,7 +2,7 @@
 
 use super::result::{ProfileEnd, ProfilePoint};
 use crate::error::CalibrationError;
-use crate::intervals::saved_file;
+use crate::loaded::saved_file;
 use crate::uncertainty::inactive_parameters::BoundSide;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING, NamedTuple, SupportsFloat, SupportsIndex
 
 import numpy as np
@@ -56,12 +57,23 @@ class Bootstrap(NamedTuple):
         return self.text
 
 
-def of_fit(fit: Fit, n: SupportsFloat, kind: str, rng: int | np.random.Generator | None, workers: SupportsIndex | None) -> Bootstrap:
+def of_fit(
+    fit: Fit,
+    n: SupportsFloat,
+    kind: str,
+    rng: int | np.random.Generator | None,
+    workers: SupportsIndex | None,
+    checkpoint: str | os.PathLike[str] | None,
+) -> Bootstrap:
     """Returns the fits to synthetic measurements of a fit."""
     number = _values.limit("n", n, 1)
     assert number is not None
     found, text = _export.native_of(fit).bootstrap(
-        number, _values.choice("kind", kind), _options.seed(rng), _options.worker_count("workers", workers, None)
+        number,
+        _values.choice("kind", kind),
+        _options.seed(rng),
+        _options.worker_count("workers", workers, None),
+        None if checkpoint is None else _values.path("checkpoint", checkpoint),
     )
     samples = np.array(found["samples"])
     return Bootstrap(found["names"], np.array(found["x"]), samples, found["n_failed"], kind, found["seed"], text)

@@ -335,6 +335,7 @@ class Fit(OptimizeResult):
         kind: Literal["parametric", "residual", "block"] = "parametric",
         rng: int | np.random.Generator | None = None,
         workers: SupportsIndex | None = None,
+        checkpoint: PathLike | None = None,
     ) -> Bootstrap:
         """Fits synthetic measurements, the simulation of this fit plus random errors.
 
@@ -354,6 +355,9 @@ class Fit(OptimizeResult):
             the seed in ``seed``.
         workers : int, optional
             Number of fits that run at once; default: all cores. The result does not depend on it.
+        checkpoint : path, optional
+            File in which to save the completed fits. If it exists, the bootstrap continues from it, also with a larger
+            `n`. If `rng` is None, its seed is used. A file of another fit, kind or seed is an error.
 
         Returns
         -------
@@ -363,9 +367,12 @@ class Fit(OptimizeResult):
         Raises
         ------
         ValueError
-            The fit did not minimise a sum of squares, or there are no more measurements than parameters.
+            The fit did not minimise a sum of squares, there are no more measurements than parameters, or the file
+            contains another bootstrap.
+        Interrupted
+            Ctrl-C was pressed. The file contains the completed fits.
         """
-        return _bootstrap.of_fit(self, n, kind, rng, workers)
+        return _bootstrap.of_fit(self, n, kind, rng, workers, checkpoint)
 
     def compare(self, other: Fit) -> Comparison:
         """Compares this fit with a fit of another model to the same measurements.
