@@ -140,3 +140,17 @@ def test_prediction_bands_match_reference(one):
 def test_prediction_bands_cover_several_experiments(two):
     band = two.fit().prediction_band([1.0])
     assert set(band) == {"run1", "warm"} and isinstance(band["warm"]["x"], pydfo.PredictionBand)
+
+
+def test_cross_validation_reports_parameters_without_another_recording():
+    t = np.arange(31) / 10
+    runs = [Experiment({"time": t, "x": 1.5 * np.exp(-k * t)}, ["x"], name=name) for name, k in (("a", 2.0), ("b", 2.0), ("c", 0.5))]
+    parameters = [
+        Parameter("fast", 1, 0.1, 10, variables=["k"], experiments=["a", "b"]),
+        Parameter("slow", 1, 0.1, 10, variables=["k"], experiments=["c"]),
+        Parameter("x", 1, 0.1, 10),
+    ]
+    found = Calibration(example_fmu("dahlquist"), runs, parameters).cross_validate()
+    assert [fold.validation.fitted for fold in found.folds] == [[], [], ["slow"]] and list(found.folds[2].parameters) == ["fast", "x"]
+    assert found.folds[2].validation.parameters["slow"] == pytest.approx(0.5, abs=1e-3)
+    assert found.parameters["fast"][0] == pytest.approx(2.0, abs=1e-3) and "which alone determines them: slow" in str(found)

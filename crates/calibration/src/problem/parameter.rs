@@ -326,6 +326,13 @@ impl Parameter {
         self.experiments.as_deref()
     }
 
+    /// Returns the parameter for a problem with these experiments only, or `None` if it acts in none of them.
+    pub(crate) fn restricted_to(&self, experiments: &[String]) -> Option<Self> {
+        let Some(names) = &self.experiments else { return Some(self.clone()) };
+        let names: Vec<String> = names.iter().filter(|name| experiments.contains(name)).cloned().collect();
+        (!names.is_empty()).then(|| Self { experiments: Some(names), ..self.clone() })
+    }
+
     /// True if the parameter acts in the experiment with this name.
     pub(crate) fn acts_in(&self, experiment: &str) -> bool {
         self.experiments.as_ref().is_none_or(|names| names.iter().any(|name| name == experiment))

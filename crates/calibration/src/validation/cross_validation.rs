@@ -6,7 +6,9 @@ use crate::error::CalibrationError;
 use crate::findings::display_text::{digits, visible_line};
 use crate::fit::one_stage::{Fit, FitOptions, NoiseRule};
 use crate::loaded::calibration::Calibration;
+use crate::problem::experiment::Experiment;
 use crate::problem::objective::CostKind;
+use crate::problem::parameter::Parameter;
 use crate::validation::held_out::{Validation, ValidationSet};
 use base::{Number, RunContext};
 use dfo::{AnyMethod, Record, RobustLoss, RunOptions};
@@ -89,8 +91,9 @@ impl Calibration {
     /// Fits without some of the recordings and validates on these recordings; by default, each recording is
     /// left out once. A fit that describes the machine predicts a recording as well as it reproduces the
     /// fitted recordings. Its parameters are also similar, whichever recording is left out.
-    /// [Local](crate::Parameter::local) parameters of a recording that is held out are fitted to it while all
-    /// others are held fixed, as in [`validate`](Self::validate).
+    /// [Local](crate::Parameter::local) parameters of a recording that is held out, and parameters that act
+    /// in no other recording, are not predicted: they are fitted to the recording while all others are held,
+    /// and [`Validation::fitted`] lists them.
     ///
     /// # Errors
     /// Returns an error if there are fewer than two recordings, the number of folds is invalid, or a fit
@@ -112,6 +115,12 @@ impl Calibration {
         let k = options.folds.unwrap_or(n);
         if !(2..=n).contains(&k) {
             return setup(format!("folds = {k} must be from 2 to the number of recordings, {n}"));
+        }
+        let acts_in = |name: &str| self.problem().parameters.iter().any(|p| p.acts_in(name));
+        if let Some(name) = self.problem().experiment_names().iter().find(|name| !acts_in(name)) {
+            return setup(format!(
+                "no parameter acts in {name}, so a fit of the others does not predict it. Leave this recording out"
+            ));
         }
         if context.is_cancelled() {
             return Err(CalibrationError::Cancelled);
@@ -183,8 +192,15 @@ impl Calibration {
             experiment.name = Some(name);
             if i % k == fold { held_out.push(experiment) } else { kept.push(experiment) }
         }
+        let named = |experiments: &[Experiment]| -> Vec<String> {
+            experiments.iter().filter_map(|experiment| experiment.name.clone()).collect()
+        };
+        let acting_in = |names: &[String]| -> Vec<Parameter> {
+            self.problem().parameters.iter().filter_map(|p| p.restricted_to(names)).collect()
+        };
+        problem.parameters = acting_in(&named(&kept));
         problem.experiments = kept;
-        let names = held_out.iter().filter_map(|experiment| experiment.name.clone()).collect::<Vec<_>>();
+        let names = named(&held_out);
         let without = |source| CalibrationError::Experiment {
             name: format!("without {}", names.join(", ")),
             source: Box::new(source),
@@ -204,7 +220,8 @@ impl Calibration {
         if context.is_over() {
             return Err(CalibrationError::Cancelled);
         }
-        let validation = fitted.validate(&fit, &ValidationSet::Experiments(held_out), context);
+        let set = ValidationSet::Experiments(held_out);
+        let validation = fitted.validate_with(&fit, &set, acting_in(&names), context);
         let mut validation = validation.map_err(without)?;
         let mut fit_rms = fit.rms;
         if !options.loss.is_linear() {
@@ -244,6 +261,15 @@ impl fmt::Display for CrossValidation {
         write!(f, "\n{:<width$}  {:>10}  {:>10}", "spread", "", "")?;
         for ((.., spread), column) in self.parameters.iter().zip(&columns) {
             write!(f, "  {:>column$}", digits(*spread).to_string())?;
+        }
+        let fitted = self.folds.iter().flat_map(|fold| &fold.validation.fitted).map(|name| line(name));
+        let fitted: Vec<String> = fitted.collect();
+        if !fitted.is_empty() {
+            let fitted = fitted.join(", ");
+            write!(
+                f,
+                "\nnot predicted but fitted to the omitted recording, which alone determines them: {fitted}"
+            )?;
         }
         for held_out in &self.unfinished {
             write!(f, "\n{}: not complete in time", line(&held_out.join(", ")))?;

@@ -9,8 +9,10 @@ use crate::findings::identifier::FindingId;
 use crate::fit::one_stage::{Fit, FitNoise, FitOptions, NoiseRule};
 use crate::fit::output_fit::OutputFit;
 use crate::loaded::calibration::Calibration;
+use crate::problem::definition::Element;
 use crate::problem::experiment::Experiment;
 use crate::problem::objective::CostKind;
+use crate::problem::parameter::Parameter;
 use crate::problem::residual_layout::OutputResiduals;
 use base::RunContext;
 use dfo::RobustLoss;
@@ -44,6 +46,10 @@ pub struct Validation {
     /// Unit of the times.
     #[serde(default = "second")]
     pub time_unit: String,
+    /// Names of the parameters that were fitted to these recordings, because the fit does not contain their
+    /// values there.
+    #[serde(default)]
+    pub fitted: Vec<String>,
     /// Root mean square of the weighted residuals. It uses plain residuals even with a loss.
     pub rms: f64,
     /// RMS at the start of the fit; `None` if the simulation failed there.
@@ -120,6 +126,9 @@ impl fmt::Display for Validation {
             self.n,
             digits(self.rms).to_string()
         )?;
+        if !self.fitted.is_empty() {
+            write!(f, "\nfitted to these recordings: {}", visible_line(&self.fitted.join(", ")))?;
+        }
         f.write_str(&table(&self.findings))
     }
 }
@@ -128,8 +137,9 @@ impl Calibration {
     /// Simulates with the parameters of a fit of this calibration and compares with measurements that the fit
     /// has not used. Other recordings may have local parameters that the fit does not contain. These are
     /// first fitted to the recordings, from their start values there, with the same cost and loss while all
-    /// others are held fixed. All RMS values use plain residuals, with every loss. Error models have the
-    /// coefficients of the fit and use the measured values instead of the simulated ones.
+    /// others are held. A parameter that acts in some experiments only acts in the recordings with their
+    /// names. All RMS values use plain residuals, with every loss. Error models have the coefficients of the
+    /// fit and use the measured values instead of the simulated ones.
     ///
     /// ```
     /// use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, ValidationSet};
@@ -151,11 +161,43 @@ impl Calibration {
     /// Returns an error if:
     /// - windows or recordings are invalid,
     /// - local parameters must be fitted but the fit used a user-defined function,
+    /// - a parameter acts in none of the recordings, because their names differ from its experiments,
     /// - a simulation fails at the fitted parameters.
     pub fn validate(
         &self,
         fit: &Fit,
         set: &ValidationSet,
+        context: &RunContext<'_>,
+    ) -> Result<Validation, CalibrationError> {
+        let parameters = match set {
+            ValidationSet::Experiments(experiments) => {
+                let mut other = self.problem().clone();
+                other.experiments.clone_from(experiments);
+                let names = other.experiment_names();
+                let acting = |p: &Parameter| {
+                    p.restricted_to(&names).ok_or_else(|| CalibrationError::Parameter {
+                        name: p.name().to_owned(),
+                        message: format!(
+                            "acts in {} only, so it is unknown whether it acts in the recordings {}. Name a recording after the \
+                             experiment whose parameters it has",
+                            p.given_experiments().unwrap_or_default().join(", "),
+                            names.join(", ")
+                        ),
+                    })
+                };
+                self.problem().parameters.iter().map(acting).collect::<Result<_, _>>()?
+            }
+            ValidationSet::Windows(_) => self.problem().parameters.clone(),
+        };
+        self.validate_with(fit, set, parameters, context)
+    }
+
+    /// Validates as [`validate`](Self::validate) does, with these parameters in other recordings.
+    pub(super) fn validate_with(
+        &self,
+        fit: &Fit,
+        set: &ValidationSet,
+        parameters: Vec<Parameter>,
         context: &RunContext<'_>,
     ) -> Result<Validation, CalibrationError> {
         self.check_length(&fit.x)?;
@@ -176,7 +218,7 @@ impl Calibration {
                 ValidationSet::Experiments(other) => ValidationSet::Experiments(with_models_stated(other)),
                 windows => windows.clone(),
             };
-            return self.derived(problem)?.validate(&fit, &set, context);
+            return self.derived(problem)?.validate_with(&fit, &set, parameters, context);
         }
         match set {
             ValidationSet::Windows(windows) => {
@@ -187,18 +229,20 @@ impl Calibration {
             ValidationSet::Experiments(experiments) => {
                 let mut problem = self.problem().clone();
                 problem.experiments.clone_from(experiments);
+                problem.parameters = parameters;
                 let other = self.derived(problem)?;
                 let (start, mut x, local) =
-                    (self.carried(&other, &fit.start)?, self.carried(&other, &fit.x)?, other.locals()?);
-                let (mut stats, mut n) = (Stats::default(), 0);
+                    (self.carried(&other, &fit.start)?, self.carried(&other, &fit.x)?, self.not_shared(&other)?);
+                let (mut stats, mut n, mut fitted) = (Stats::default(), 0, Vec::new());
                 if local.iter().any(|&i| !other.parameters()[i].is_fixed()) {
                     let held = (0..x.len()).filter(|i| !local.contains(i)).collect();
+                    let free = local.iter().map(|&i| &other.parameters()[i]).filter(|p| !p.is_fixed());
+                    fitted = free.map(|p| p.name().to_owned()).collect();
                     let Some(objective) = CostKind::of_name(&fit.objective) else {
-                        let names: Vec<&str> = local.iter().map(|&i| other.parameters()[i].name()).collect();
                         return Err(CalibrationError::Setup(format!(
                             "{} would be fitted to these recordings, but the fit minimised a function that is not stored ('{}'). Fix \
                              these parameters, or fit with a named objective",
-                            names.join(", "),
+                            fitted.join(", "),
                             fit.objective
                         )));
                     };
@@ -221,7 +265,7 @@ impl Calibration {
                 }
                 let validation = other.validation(&start, &x, stats, n, context)?;
                 // A time and a value may be equal by chance.
-                Ok(Validation { findings: self.seen(&other, 0.5), ..validation })
+                Ok(Validation { findings: self.seen(&other, 0.5), fitted, ..validation })
             }
         }
     }
@@ -289,16 +333,23 @@ impl Calibration {
             time_unit: self.fmu().description().time_unit().to_owned(),
             rms: rms(&end),
             start_rms: start.as_ref().map(rms),
+            fitted: Vec::new(),
             findings: Vec::new(),
             n_simulations: n_simulations + 2,
             stats,
         })
     }
 
-    /// Returns the indices of the entries of `x` that belong to one experiment.
-    fn locals(&self) -> Result<Vec<usize>, CalibrationError> {
-        let elements = self.problem().elements()?;
-        Ok((0..elements.len()).filter(|&i| elements[i].experiment.is_some()).collect())
+    /// Returns the indices of the entries of another problem that this one does not contain: local
+    /// parameters, and parameters that act only in other experiments than those of this problem.
+    fn not_shared(&self, other: &Calibration) -> Result<Vec<usize>, CalibrationError> {
+        let own = self.problem().elements()?;
+        let is_known = |e: &Element| {
+            e.experiment.is_none()
+                && own.iter().any(|o| o.experiment.is_none() && o.parameter.name() == e.parameter.name())
+        };
+        let elements = other.problem().elements()?;
+        Ok((0..elements.len()).filter(|&i| !is_known(&elements[i])).collect())
     }
 
     /// Returns values for another problem with the same parameters. Shared values are taken from `x`, and
@@ -307,7 +358,7 @@ impl Calibration {
         let elements = self.problem().elements()?;
         let shared =
             |name: &str| elements.iter().position(|e| e.experiment.is_none() && e.parameter.name() == name);
-        let value = |(i, e): (usize, &crate::problem::definition::Element)| match shared(e.parameter.name()) {
+        let value = |(i, e): (usize, &Element)| match shared(e.parameter.name()) {
             Some(k) if e.experiment.is_none() => x[k],
             _ => other.parameters()[i].start(),
         };

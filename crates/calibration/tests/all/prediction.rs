@@ -161,7 +161,8 @@ fn cross_validation_leaves_each_recording_out_once() {
     assert!(name == "k" && (mean - 2.02).abs() < 0.02 && *spread > 1e-3 && *spread < 0.05, "{found}");
     let sum: f64 = found.folds.iter().map(|f| f.validation.rms.powi(2) / 3.0).sum();
     assert!((found.rms / sum.sqrt() - 1.0).abs() < 1e-9);
-    assert_eq!(found.to_string().lines().count(), 6, "{found}");
+    assert_eq!(found.to_string().lines().count(), 7, "{found}");
+    assert!(found.to_string().ends_with("determines them: x[run1], x[run2], x[third]"), "{found}");
     // With two folds, each fold holds out every second recording. The result is independent of the workers.
     let mut options = CrossValidationOptions { folds: Some(2), ..CrossValidationOptions::default() };
     options.run.workers = Some(1);

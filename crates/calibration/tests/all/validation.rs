@@ -133,3 +133,69 @@ fn cross_validation_ends_at_time_limit() {
     let found = calibration.cross_validate(&options, &RunContext::new()).unwrap();
     assert!(found.folds.len() == 2 && found.unfinished.is_empty());
 }
+
+/// Recordings a and b with the rate 2, and c with the rate 0.5, all with the same start value.
+fn conditions(parameters: Vec<Parameter>) -> Calibration {
+    let fmu = fmi::Fmu::open(example_fmu("dahlquist").unwrap()).unwrap();
+    let runs = [("a", 2.0), ("b", 2.0), ("c", 0.5)].map(|(name, k)| experiment(k, 1.5).named(name));
+    let builder = runs.into_iter().fold(Calibration::builder(fmu), |builder, run| builder.experiment(run));
+    parameters.into_iter().fold(builder, |builder, p| builder.parameter(p)).build().unwrap()
+}
+
+fn rate(name: &str, experiments: &[&str]) -> Parameter {
+    let experiments = experiments.iter().map(|name| (*name).to_owned());
+    Parameter::new(name, 1.0).bounds(0.1, 10.0).variables(["k"]).experiments(experiments)
+}
+
+#[test]
+fn cross_validation_reports_parameters_without_another_recording() {
+    let x0 = Parameter::new("x", 1.0).bounds(0.1, 10.0);
+    let calibration = conditions(vec![rate("fast", &["a", "b"]), rate("slow", &["c"]), x0]);
+    let found = calibration.cross_validate(&CrossValidationOptions::default(), &RunContext::new()).unwrap();
+    let fitted: Vec<Vec<String>> = found.folds.iter().map(|fold| fold.validation.fitted.clone()).collect();
+    assert_eq!(fitted, [vec![], vec![], vec!["slow".to_owned()]]);
+    for (fold, names) in found.folds.iter().zip([&["fast", "slow", "x"][..], &["fast", "slow", "x"], &["fast", "x"]]) {
+        assert_eq!(fold.fit.names, names);
+        assert!(fold.validation.rms < 1e-3, "{found}");
+    }
+    let slow = &found.folds[2].validation;
+    let at = slow.names.iter().position(|name| name == "slow").unwrap();
+    assert!((slow.x[at] - 0.5).abs() < 1e-3, "{slow:?}");
+    assert!((found.parameters[0].1 - 2.0).abs() < 1e-3 && (found.parameters[1].1 - 0.5).abs() < 1e-3, "{found}");
+    assert!(
+        (found.parameters[0].1 - 2.0).abs() < 1e-3 && (found.parameters[1].1 - 0.5).abs() < 1e-3,
+        "{found}"
+    );
+    assert!(
+        found.to_string().ends_with(
+            "not predicted but fitted to the omitted recording, which alone determines them: slow"
+        ),
+        "{found}"
+    );
+    // A wrong rate of the omitted recording is not hidden by a parameter that acts there.
+    let shared = conditions(vec![rate("fast", &["a", "b", "c"]), Parameter::new("x", 1.0).bounds(0.1, 10.0)]);
+    let found = shared.cross_validate(&CrossValidationOptions::default(), &RunContext::new()).unwrap();
+    let expected = rms(0..=30, (2.0, 1.5), (0.5, 1.5));
+    assert!((found.folds[2].validation.rms / expected - 1.0).abs() < 1e-2, "{found}");
+    let only = conditions(vec![rate("slow", &["c"])]);
+    let error =
+        only.cross_validate(&CrossValidationOptions::default(), &RunContext::new()).unwrap_err().to_string();
+    assert!(error.contains("no parameter acts in a, so a fit of the others does not predict it"), "{error}");
+}
+
+#[test]
+fn validation_uses_the_parameters_of_the_experiment_with_the_same_name() {
+    let calibration = conditions(vec![rate("fast", &["a", "b"]), rate("slow", &["c"])]);
+    let fit = calibration.fit(FitOptions::default()).unwrap();
+    let validate = |runs: Vec<Experiment>| {
+        calibration.validate(&fit, &ValidationSet::Experiments(runs), &RunContext::new())
+    };
+    let both = vec![experiment(2.0, 1.0).named("b"), experiment(0.5, 1.0).named("c")];
+    let validation = validate(both).unwrap();
+    assert_eq!((validation.x.as_slice(), validation.fitted.len()), (fit.x.as_slice(), 0));
+    let error = validate(vec![experiment(2.0, 1.0)]).unwrap_err().to_string();
+    assert!(
+        error.contains("parameter 'fast': acts in a, b only, so it is unknown whether it acts in the recordings run1. Name"),
+        "{error}"
+    );
+}

@@ -607,8 +607,9 @@ class Calibration(Evaluation):
         """Fits without some of the recordings and validates on the omitted ones.
 
         A good model predicts an omitted recording as well as it reproduces the fitted recordings. Its parameters are
-        similar whichever recording is omitted. Local parameters of an omitted recording are fitted to that recording
-        while all others are held fixed.
+        similar whichever recording is omitted. Local parameters of an omitted recording, and parameters that act in no
+        other recording, cannot be predicted. They are fitted to the omitted recording while all others are held fixed;
+        ``fold.validation.fitted`` and the table list them.
 
         Parameters
         ----------

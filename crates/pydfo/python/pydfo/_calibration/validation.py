@@ -82,6 +82,8 @@ class Validation:
         Number of measurements that count.
     time_unit : str
         Unit of the times.
+    fitted : list of str
+        Parameters that were fitted to these recordings, because the fit does not contain their values there.
     outputs : list of ValidatedOutput
         Each output of each experiment: RMS, fit percentage, measured and simulated values.
     parameters : dict of str to float
@@ -97,6 +99,7 @@ class Validation:
 
     n: int
     time_unit: str
+    fitted: list[str]
     rms: float
     start_rms: float | None
     n_simulations: int
