@@ -113,9 +113,8 @@ impl Data {
     ) -> Result<Self, CalibrationError> {
         let bad = |message: String| CalibrationError::Data { source_name: source_name.to_owned(), message };
         if text.starts_with(b"PK\x03\x04") {
-            return Err(bad(
-                "the file is a zip archive (such as an FMU or a workbook), not a CSV file".to_owned()
-            ));
+            let what = "the file is a zip archive (such as an FMU or a workbook), not a CSV file";
+            return Err(bad(format!("{what}. {}", how_to_convert(source_name, None))));
         }
         let text = decode(text);
         let (mut records, delimiter) = Records::new(&text);
@@ -216,6 +215,15 @@ impl Data {
         let data = data.with_first_date(first_date);
         Ok(data.left_out(others.into_iter().map(|column| column.name)).with_clock_change(clock_change))
     }
+}
+
+/// Returns a sentence on how to convert a sheet of a workbook to a CSV file.
+pub(crate) fn how_to_convert(workbook: &str, sheet: Option<&str>) -> String {
+    let name = sheet.map_or_else(String::new, |sheet| format!(", sheet_name={sheet:?}"));
+    format!(
+        "Save the sheet of a workbook as a CSV file, or convert it with Python: pandas.read_excel({workbook:?}{name}).to_csv(\"run.csv\", \
+         index=False)"
+    )
 }
 
 /// Returns the names in the header and the number of cells per row.

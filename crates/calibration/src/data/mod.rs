@@ -14,6 +14,7 @@ mod units;
 
 pub use clock_change::{ClockChange, clock_change};
 pub use csv::CsvRequest;
+pub(crate) use csv::how_to_convert;
 pub use dates::{DateError, date_seconds};
 pub use parameter_set::ParameterSet;
 pub use recording::Data;

@@ -1,7 +1,7 @@
 //! Experiments as users describe them by name: one record for files and the command line. A recording is the
 //! path of a CSV file.
 
-use crate::data::{CsvRequest, Data, ParameterSet};
+use crate::data::{CsvRequest, Data, ParameterSet, how_to_convert};
 use crate::error::CalibrationError;
 use crate::problem::experiment::{Experiment, InitialState, OutputScale, Sigma, Weight};
 use crate::problem::input::ColumnRecord;
@@ -94,6 +94,16 @@ impl Experiment {
         folder: &Path,
         context: &RunContext<'_>,
     ) -> Result<Self, CalibrationError> {
+        if let Some(sheet) = record.get("sheet") {
+            let sheet = sheet.read::<String>("sheet")?;
+            let workbook: String =
+                record.get("data").and_then(|data| data.read("data").ok()).unwrap_or_default();
+            let message = format!(
+                "sheet = '{sheet}': only Python reads workbooks; the data of a problem file are CSV files. {}",
+                how_to_convert(&workbook, Some(&sheet))
+            );
+            return Err(RecordError::message(message).into());
+        }
         let record: ExperimentRecord = read_record(record, "field of an experiment")?;
         let outputs: Vec<(String, String)> = read_pairs(&record.outputs, "outputs")?;
         let inputs = pairs(&record.inputs, "inputs")?

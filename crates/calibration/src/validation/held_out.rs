@@ -231,8 +231,11 @@ impl Calibration {
                 problem.experiments.clone_from(experiments);
                 problem.parameters = parameters;
                 let other = self.derived(problem)?;
-                let (start, mut x, local) =
-                    (self.carried(&other, &fit.start)?, self.carried(&other, &fit.x)?, self.not_shared(&other)?);
+                let (start, mut x, local) = (
+                    self.carried(&other, &fit.start)?,
+                    self.carried(&other, &fit.x)?,
+                    self.not_shared(&other)?,
+                );
                 let (mut stats, mut n, mut fitted) = (Stats::default(), 0, Vec::new());
                 if local.iter().any(|&i| !other.parameters()[i].is_fixed()) {
                     let held = (0..x.len()).filter(|i| !local.contains(i)).collect();

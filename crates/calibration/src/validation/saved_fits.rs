@@ -53,7 +53,9 @@ impl SavedFits {
             _ if found.problem != own.problem => {
                 Some("contains a bootstrap of another fit or problem, or of another kind")
             }
-            _ if seed.is_some_and(|seed| seed != found.seed) => Some("contains a bootstrap with another seed"),
+            _ if seed.is_some_and(|seed| seed != found.seed) => {
+                Some("contains a bootstrap with another seed")
+            }
             _ => (!found.fits.values().all(is_sound)).then_some("is damaged"),
         })?;
         if let Some(found) = found {

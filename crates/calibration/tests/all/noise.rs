@@ -5,9 +5,9 @@ use crate::support::normal;
 use base::Number;
 use calibration::RunContext;
 use calibration::{
-    BandOptions, BootstrapKind, BootstrapOptions, Calibration, CalibrationBuilder, CostKind, Data,
-    EstimatedNoise, Experiment, FindingId, Fit, FitNoise, FitOptions, NamedCost, NoiseRule, Parameter, Prior,
-    ProfileOptions, SavedFit, Severity, Sigma, Stage, ValidationSet, Weight,
+    BandOptions, BootstrapKind, BootstrapOptions, Calibration, CalibrationBuilder, CalibrationError,
+    CostKind, Data, EstimatedNoise, Experiment, FindingId, Fit, FitNoise, FitOptions, NamedCost, NoiseRule,
+    Parameter, Prior, ProfileOptions, SavedFit, Severity, Sigma, Stage, ValidationSet, Weight,
 };
 use dfo::{
     AnyMethod, Checkpoint, LeastSquares, Limits, Loss, NelderMead, Resume, RobustLoss, RunOptions, Search,

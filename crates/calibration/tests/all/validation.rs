@@ -154,14 +154,15 @@ fn cross_validation_reports_parameters_without_another_recording() {
     let found = calibration.cross_validate(&CrossValidationOptions::default(), &RunContext::new()).unwrap();
     let fitted: Vec<Vec<String>> = found.folds.iter().map(|fold| fold.validation.fitted.clone()).collect();
     assert_eq!(fitted, [vec![], vec![], vec!["slow".to_owned()]]);
-    for (fold, names) in found.folds.iter().zip([&["fast", "slow", "x"][..], &["fast", "slow", "x"], &["fast", "x"]]) {
+    for (fold, names) in
+        found.folds.iter().zip([&["fast", "slow", "x"][..], &["fast", "slow", "x"], &["fast", "x"]])
+    {
         assert_eq!(fold.fit.names, names);
         assert!(fold.validation.rms < 1e-3, "{found}");
     }
     let slow = &found.folds[2].validation;
     let at = slow.names.iter().position(|name| name == "slow").unwrap();
     assert!((slow.x[at] - 0.5).abs() < 1e-3, "{slow:?}");
-    assert!((found.parameters[0].1 - 2.0).abs() < 1e-3 && (found.parameters[1].1 - 0.5).abs() < 1e-3, "{found}");
     assert!(
         (found.parameters[0].1 - 2.0).abs() < 1e-3 && (found.parameters[1].1 - 0.5).abs() < 1e-3,
         "{found}"

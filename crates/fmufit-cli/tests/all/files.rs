@@ -174,3 +174,29 @@ fn unwritable_output_is_reported_before_the_work() {
         assert_eq!(ran.code, 2, "{ran:?}");
     }
 }
+
+#[test]
+fn errors_about_workbooks_state_how_to_convert_them() {
+    let folder = Folder::with_model("dahlquist");
+    folder.write(
+        "problem.toml",
+        &PROBLEM.replace("data = \"run.csv\"", "data = \"runs.xlsx\"\nsheet = \"Tuesday\""),
+    );
+    let message = folder.run("check problem.toml").wrong_input();
+    assert!(
+        message.contains(
+            "sheet = 'Tuesday': only Python reads workbooks; the data of a problem file are CSV files"
+        ) && message.contains(
+            "pandas.read_excel(\"runs.xlsx\", sheet_name=\"Tuesday\").to_csv(\"run.csv\", index=False)"
+        ),
+        "{message}"
+    );
+    // A workbook is a zip archive, as a model is.
+    std::fs::copy(folder.path("model.fmu"), folder.path("runs.xlsx")).unwrap();
+    folder.write("problem.toml", &PROBLEM.replace("run.csv", "runs.xlsx"));
+    let message = folder.run("fit problem.toml").wrong_input();
+    assert!(
+        message.contains("not a CSV file. Save the sheet of a workbook as a CSV file, or convert it"),
+        "{message}"
+    );
+}
