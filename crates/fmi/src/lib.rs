@@ -82,7 +82,7 @@ pub use open_options::{LogOptions, OpenOptions};
 pub use session::Session;
 pub use simulation::{
     BetweenSteps, DEFAULT_INTERVALS, DEFAULT_TOLERANCE, InputFunction, Inputs, Recorded, RunSettings,
-    SimulateOptions, SimulationPlan, Tick, Trajectory, ValueColumn,
+    SimulateOptions, SimulationPlan, SteadyStart, Tick, Trajectory, ValueColumn,
 };
 pub use simulators::{InstanceOptions, SharedSimulator, Simulator};
 pub use source::{build_library, clear_caches, pack, pack_texts, pack_unless};

@@ -619,3 +619,27 @@ def test_check_suggests_the_time_unit_of_the_model():
     found = [finding for finding in in_hours(data).check() if finding.id == "F041"]
     assert len(found) == 1 and found[0].remedy == 'Set time_unit = "h"' and "probably counts its time in h" in found[0].sentence
     assert not any(finding.id == "F041" for finding in in_hours(data, time_unit="h").check())
+
+
+def test_steady_start_brings_the_model_to_rest(tmp_path):
+    t = 0.1 * np.arange(41)
+    y = np.where(t < 1, 2.0, 4 - 2 * np.exp(-(t - 1) / 0.8))
+    data = {"time": t, "y": y, "u": np.where(t < 0.95, 1.0, 2.0)}
+    own = {"inputs": {"u": pydfo.Hold("u")}}
+    parameters = [Parameter("T", 0.3, 0.05, 5)]
+    steady = Calibration(example_fmu("switched_input"), data, ["y"], parameters, initial_states="steady", **own)
+    fit = steady.fit()
+    assert fit.parameters["T"] == pytest.approx(0.8, abs=1e-4) and fit.simulate()["y"][0] == pytest.approx(2.0, rel=1e-5)
+    fit.save(tmp_path / "a.fit")
+    assert pydfo.load_fit(tmp_path / "a.fit").simulate()["y"].tobytes() == fit.simulate()["y"].tobytes()
+    held = Calibration(example_fmu("switched_input"), data, ["y"], parameters, initial_states={"x": 0.5, "*": "steady"}, **own)
+    assert held.simulate([0.8])["y"][0] == 0.5
+    short = Calibration(example_fmu("switched_input"), data, ["y"], parameters, initial_states="steady", steady_limit=1e-3, **own)
+    with pytest.raises(pydfo.SimulationError, match="it still moves after 0.001 units of time, where the derivative of 'x' is"):
+        short.cost([0.8])
+    with pytest.raises(ValueError, match="steady_limit requires initial_states"):
+        decay({"time": TIME, "x": DECAY}, steady_limit=3)
+    with pytest.raises(ValueError, match="must be a dict of states, or 'steady', not 'rest'"):
+        decay({"time": TIME, "x": DECAY}, initial_states="rest")
+    with pytest.raises(Exception, match="requires model exchange"):
+        decay({"time": TIME, "x": DECAY}, initial_states="steady", kind="CS")

@@ -83,6 +83,7 @@ impl Simulation {
             final_time: Some(final_time),
             start_values,
             initial_states,
+            steady: experiment.steady,
             parameters: names.clone(),
             outputs: Some(experiment.outputs.iter().map(|o| o.variable.clone()).collect()),
             inputs: inputs(&signals, assigned.input_shifts(&start)),

@@ -7,7 +7,7 @@ use crate::problem::error_model::{Coefficient, ErrorModel};
 use crate::problem::input::{InputSource, SignalFunction};
 use crate::problem::parameter::Parameter;
 use fmi::description::{Causality, Variability};
-use fmi::{InputFunction, ModelDescription, Value};
+use fmi::{InputFunction, ModelDescription, SteadyStart, Value};
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 
@@ -34,6 +34,9 @@ pub struct Experiment {
     #[serde(default)]
     pub(crate) parameter_set: Option<ParameterSet>,
     pub(crate) initial_states: Vec<(String, InitialState)>,
+    /// Start from steady state, except the states with initial values.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) steady: Option<SteadyStart>,
     pub(crate) windows: Vec<(f64, f64)>,
     pub(crate) warm_up: Option<f64>,
     pub(crate) start_time: Option<f64>,
@@ -78,7 +81,7 @@ impl InitialState {
         }
         Err(CalibrationError::Setup(format!(
             "initial_states: '{state}' = '{word}' must be a number, 'measured', 'measured:' and the name of an output, or a parameter \
-             with start, lower and upper"
+             with start, lower and upper; only '*' (all other states) may be 'steady'"
         )))
     }
 
@@ -125,6 +128,9 @@ pub enum Weight {
     Log(f64),
 }
 
+/// Text that selects a [steady start](Experiment::steady_start).
+pub(crate) const STEADY: &str = "steady";
+
 /// Text that selects [`Weight::Log`].
 const LOGARITHM: &str = "log";
 
@@ -151,8 +157,8 @@ impl Sigma {
 
 impl Weight {
     /// Returns the weight of a text that describes the noise of a measured column: `log` (in upper or lower
-    /// case) for the [logarithm](Self::Log), an [`ErrorModel`] such as `0.1 + 0.05*abs(y)`, otherwise the values of the
-    /// column with this name.
+    /// case) for the [logarithm](Self::Log), an [`ErrorModel`] such as `0.1 + 0.05*abs(y)`, otherwise the
+    /// values of the column with this name.
     ///
     /// # Errors
     /// Returns an error with the name of the measured `column` if the text contains `abs(` but is not an
@@ -503,6 +509,15 @@ impl Experiment {
     #[must_use]
     pub fn initial_state(mut self, state: impl Into<String>, initial: impl Into<InitialState>) -> Self {
         self.initial_states.push((state.into(), initial.into()));
+        self
+    }
+
+    /// Brings the model to rest at the first values of its inputs before the recording, for each trial
+    /// parameter set (model exchange). States with an [initial state](Self::initial_state) keep it. A model
+    /// that does not come to rest within the limit is a failed evaluation. See [`SteadyStart`].
+    #[must_use]
+    pub fn steady_start(mut self, steady: SteadyStart) -> Self {
+        self.steady = Some(steady);
         self
     }
 

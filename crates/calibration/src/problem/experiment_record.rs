@@ -3,18 +3,22 @@
 
 use crate::data::{CsvRequest, Data, ParameterSet, how_to_convert};
 use crate::error::CalibrationError;
-use crate::problem::experiment::{Experiment, InitialState, OutputScale, Sigma, Weight};
+use crate::problem::experiment::{Experiment, InitialState, OutputScale, STEADY, Sigma, Weight};
 use crate::problem::input::ColumnRecord;
 use crate::problem::parameter::Parameter;
 #[cfg(feature = "schema")]
 use crate::problem::schema::{
-    InitialStateRecord, InputRecord, NumberOr, OutputWeight, Pairs, StartValues, Weights,
+    InitialStates, InputRecord, NumberOr, OutputWeight, Pairs, StartValues, Weights,
 };
 use base::RunContext;
 use dfo::{Record, RecordError, Value, read_record};
+use fmi::SteadyStart;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
+
+/// Name that stands for all states without another initial value.
+const OTHERS: &str = "*";
 
 /// Description of an experiment by name; see [`Experiment::from_record`].
 #[derive(Debug, Default, Deserialize)]
@@ -45,10 +49,12 @@ pub struct ExperimentRecord {
     /// Values of other parameters and start values of variables, or the path of an SSP parameter file (.ssv).
     #[cfg_attr(feature = "schema", schemars(with = "StartValues"))]
     start_values: Value,
-    /// Initial values of states: a number, `measured`, `measured:` and the name of an output, or a parameter
-    /// of this experiment only.
-    #[cfg_attr(feature = "schema", schemars(with = "Pairs<NumberOr<InitialStateRecord>>"))]
+    /// `steady` for a start from steady state, or initial values of states: a number, `measured`, `measured:`
+    /// and the name of an output, or a parameter of this experiment only.
+    #[cfg_attr(feature = "schema", schemars(with = "InitialStates"))]
     initial_states: Value,
+    /// Longest approach to steady state; default: 1000 times the simulated time span.
+    steady_limit: Option<f64>,
     /// Windows in which measurements count, each from and to. All times are in the time unit of the model,
     /// usually s.
     windows: Vec<(f64, f64)>,
@@ -83,7 +89,8 @@ impl Experiment {
     /// - `inputs`: the column of a variable, its constant value, or a column whose values are held between
     ///   the rows: `{ column = "u", hold = true }`;
     /// - `initial_states`: a number, `measured`, `measured:` and the name of an output, or the record of a
-    ///   parameter;
+    ///   parameter; `steady` for all states, or for `*`, the other states; `steady_limit`, the longest
+    ///   approach to steady state;
     /// - `start_values`: a value for each variable, or the path of an SSP parameter file;
     /// - `name`, `windows`, `warm_up`, `start_time`, `delays`, `hold_inputs`.
     ///
@@ -173,7 +180,20 @@ impl Experiment {
                 }
             }
         }
-        for (state, initial) in pairs(&record.initial_states, "initial_states")? {
+        let is_steady = |word: &Value| matches!(word, Value::Text(text) if text.eq_ignore_ascii_case(STEADY));
+        let (mut given, mut steady) = (Vec::new(), is_steady(&record.initial_states));
+        if !steady {
+            given = pairs(&record.initial_states, "initial_states")?;
+            steady = given.iter().any(|(state, word)| state == OTHERS && is_steady(word));
+            given.retain(|(state, word)| state != OTHERS || !is_steady(word));
+        }
+        if steady {
+            experiment = experiment.steady_start(SteadyStart { limit: record.steady_limit });
+        } else if record.steady_limit.is_some() {
+            let message = "steady_limit requires initial_states = \"steady\"";
+            return Err(RecordError::message(message).into());
+        }
+        for (state, initial) in given {
             experiment = experiment.initial_state(&state, initial_state(&initial, &state)?);
         }
         experiment.windows = record.windows;

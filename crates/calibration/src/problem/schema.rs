@@ -36,6 +36,8 @@ untagged! {
     StartValues { File(String), Each(Pairs<ModelValue>) }
     /// Source of an input that is not a number.
     InputRecord { Column(String), Settings(ColumnRecord) }
+    /// Initial values of states, or the start from steady state.
+    InitialStates { Word(Steady), Each(Pairs<NumberOr<InitialStateRecord>>) }
     /// Initial value of a state that is not a number.
     InitialStateRecord { Word(Measured), Fitted(Parameter) }
 }
@@ -53,12 +55,21 @@ impl JsonSchema for Positive {
     }
 }
 
-/// The first measurement.
+/// The start from steady state.
+#[derive(JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+#[allow(dead_code, reason = "its schema alone is used")]
+pub(crate) enum Steady {
+    Steady,
+}
+
+/// The first measurement; for the name `*`, steady state of all other states.
 #[derive(JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 #[allow(dead_code, reason = "its schema alone is used")]
 pub(crate) enum Measured {
     Measured,
+    Steady,
 }
 
 pub(crate) fn isolation(_: &mut SchemaGenerator) -> Schema {

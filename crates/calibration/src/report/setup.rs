@@ -86,6 +86,13 @@ pub(super) fn experiment(experiment: &Experiment) -> Vec<Described> {
             list(experiment.initial_states.iter().map(|(name, value)| initial(name, value)).collect()),
         ),
         (
+            "steady state",
+            experiment.steady.map(|steady| match steady.limit {
+                Some(limit) => format!("before the start, within {}", in_unit(limit)),
+                None => "before the start".to_owned(),
+            }),
+        ),
+        (
             "delays",
             list(
                 experiment.delays.iter().map(|(name, delay)| format!("{name} {}", in_unit(*delay))).collect(),

@@ -24,6 +24,7 @@ mod saved_fit;
 mod setups;
 mod solver;
 mod stages;
+mod steady_start;
 mod time_unit;
 mod tolerance;
 mod totals;

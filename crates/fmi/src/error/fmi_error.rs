@@ -351,6 +351,12 @@ pub enum FmiError {
         /// Value after the initialization.
         found: f64,
     },
+    /// The model does not come to rest before a simulation that starts from steady state.
+    #[error("the model does not come to rest at the inputs of the start: {reason}")]
+    NotSteady {
+        /// State that moves the most, its derivative, and the limit; or the error of the approach.
+        reason: String,
+    },
     /// A value is NaN or infinite, but must be finite.
     #[error("{name}: expected a finite number, got {value}", value = Number(*.value))]
     NotFinite {

@@ -6,16 +6,22 @@ use crate::simulation::co_simulation::CoSimulationState;
 use crate::simulation::model_exchange::{Integration, System};
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::Running;
+use crate::simulation::settling::{settle, settling_driver};
 use crate::simulation::shared_observer::SharedObserver;
 use crate::simulation::variable_elements::RunInput;
 use crate::sys::{InterfaceKind, RawInstance, note_start, set_float_mode};
-use ode::{Driver, ErrorKind, Ignore, Observer, Report};
+use ode::{Driver, ErrorKind, Ignore, Observer, Report, Termination};
 use std::sync::Arc;
 
 /// Engine for running a model, with its instance.
 #[derive(Debug)]
 pub(crate) enum Engine {
-    Integrated { driver: Box<Driver>, system: Box<System> },
+    Integrated {
+        driver: Box<Driver>,
+        /// Driver of the approach to steady state.
+        settling: Option<Box<Driver>>,
+        system: Box<System>,
+    },
     Stepping(Box<CoSimulationState>),
 }
 
@@ -24,6 +30,7 @@ impl Engine {
         Ok(match plan.kind {
             InterfaceKind::ModelExchange => Engine::Integrated {
                 driver: Box::new(Driver::new(plan.options.clone())?),
+                settling: plan.steady.map(|_| settling_driver(plan)).transpose()?,
                 system: Box::new(System::new(Arc::clone(plan))),
             },
             InterfaceKind::CoSimulation => {
@@ -57,7 +64,9 @@ impl Engine {
         let mut nobody = Ignore;
         let outside = SharedObserver::new(&plan.options, &mut nobody);
         match self {
-            Engine::Integrated { system, .. } => Integration { system, outside: &outside }.initial_events(),
+            Engine::Integrated { system, .. } => {
+                Integration { system, outside: &outside, is_settled: false }.initial_events()
+            }
             Engine::Stepping(stepping) => stepping.run_initial_events(&outside).map(drop),
         }
     }
@@ -76,10 +85,23 @@ impl Engine {
         set_float_mode();
         let outside = SharedObserver::new(&plan.options, observer);
         match self {
-            Engine::Integrated { driver, system } => {
-                let mut integration = Integration { system, outside: &outside };
+            Engine::Integrated { driver, settling, system } => {
+                let mut integration = Integration { system, outside: &outside, is_settled: false };
+                let mut settled = None;
+                if let Some((settling, limit)) = settling.as_mut().zip(plan.steady) {
+                    let report = settle(&mut integration, settling, limit)?;
+                    if report.termination == Termination::StoppedByObserver {
+                        return Ok(report);
+                    }
+                    integration.is_settled = true;
+                    settled = Some(report.stats);
+                }
                 let ended = driver.run(&mut integration, plan.start, plan.end, &plan.times, &mut &outside);
-                let ended = ended.and_then(|report| system.compared_at_end(report));
+                let mut ended = ended.and_then(|report| system.compared_at_end(report));
+                if let Some(before) = settled {
+                    *ended.as_mut().map_or_else(|error| &mut error.stats, |report| &mut report.stats) +=
+                        before;
+                }
                 ended.map_err(|mut error| {
                     if let Some(value) = &mut error.not_finite {
                         value.name = plan.name_of(value);

@@ -12,13 +12,16 @@ mod options;
 mod outputs;
 pub(crate) mod plan;
 pub(crate) mod running;
+mod settling;
 mod shared_observer;
 pub(crate) mod trajectory;
 pub(crate) mod variable_elements;
 
 pub use clocks::Tick;
 pub use inputs::{InputFunction, Inputs};
-pub use options::{BetweenSteps, DEFAULT_INTERVALS, DEFAULT_TOLERANCE, RunSettings, SimulateOptions};
+pub use options::{
+    BetweenSteps, DEFAULT_INTERVALS, DEFAULT_TOLERANCE, RunSettings, SimulateOptions, SteadyStart,
+};
 pub use outputs::Recorded;
 pub use plan::SimulationPlan;
 pub use trajectory::{Trajectory, ValueColumn};

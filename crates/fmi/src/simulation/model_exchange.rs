@@ -10,8 +10,8 @@ use crate::simulation::shared_observer::SharedObserver;
 use crate::simulation::variable_elements::RunInput;
 use crate::sys::{Direction, Fault, RawInstance};
 use ode::{
-    CallError, CallResult, ErrorKind, EventOutcome, EventVisit, HybridSystem, InputStop, JacobianPattern,
-    Report, SimulationError, StepAction, Stopped, Termination,
+    CallError, CallResult, ErrorKind, EventCause, EventOutcome, EventVisit, HybridSystem, InputStop,
+    JacobianPattern, Report, SimulationError, StepAction, Stopped, Termination,
 };
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
@@ -437,6 +437,8 @@ pub(crate) fn unbox(error: Box<dyn std::error::Error + Send + Sync>) -> FmiError
 pub(crate) struct Integration<'a> {
     pub(crate) system: &'a mut System,
     pub(crate) outside: &'a SharedObserver<'a>,
+    /// True if the system has been started and brought to rest.
+    pub(crate) is_settled: bool,
 }
 
 impl Deref for Integration<'_> {
@@ -454,6 +456,11 @@ impl DerefMut for Integration<'_> {
 }
 
 impl Integration<'_> {
+    /// Returns the positions of the states with given initial values.
+    pub(crate) fn given_states(&self) -> impl Iterator<Item = usize> + '_ {
+        self.initial_states.iter().map(|one| one.position)
+    }
+
     /// Handles the initial events if only initial values are needed.
     pub(crate) fn initial_events(&mut self) -> Result<()> {
         let mut states = vec![0.0; self.running.plan.n_states];
@@ -497,6 +504,13 @@ impl HybridSystem for Integration<'_> {
     }
 
     fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+        if self.is_settled {
+            // Events that the model announces for later, and discrete variables, belong to the states at rest.
+            copy(x, &self.last_states);
+            let visit = EventVisit { time: t0, cause: EventCause::default(), crossings: &[] };
+            let outcome = self.handle_event(&visit, x)?;
+            return Ok(EventOutcome { states_changed: true, ..outcome });
+        }
         let mut outcome = self.system.iterate_events(t0, self.outside)?;
         self.read_states(x)?;
         if !outcome.terminate && self.set_initial_states(x)? {

@@ -122,6 +122,22 @@ names! {
     policies = ChatteringPolicy::NAMES;
 }
 
+/// Start of a simulation from steady state (model exchange). After the initialization, the states move under
+/// the derivatives at the start time, with the inputs at their first values, until they are at rest. States
+/// in [`SimulateOptions::initial_states`] keep their values.
+///
+/// The approach is a pseudo-transient continuation (Kelley and Keyes, SIAM Journal on Numerical Analysis 35,
+/// 1998) with the steps of Radau5, which is L-stable: a long step ends at the equilibrium. The time of the
+///       model stays at the start time. The states are at rest if none changes by more than the relative
+///       tolerance times the sum of its magnitude and its nominal value in a window. A window is as long as
+///       the simulation and as long as the approach before it.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct SteadyStart {
+    /// Longest approach, in units of time. Default: 1000 times the simulated time span. A model that is not
+    /// at rest by then fails with [`FmiError::NotSteady`](crate::FmiError::NotSteady).
+    pub limit: Option<f64>,
+}
+
 /// Options of a simulation. With the default options, the model determines all settings.
 ///
 /// ```
@@ -158,6 +174,9 @@ pub struct SimulateOptions {
     /// continuous states. An event iteration follows. In all other cases a simulation that starts with a
     /// different value fails with [`FmiError::StateNotTaken`](crate::FmiError::StateNotTaken).
     pub initial_states: Vec<String>,
+    /// Brings the model to rest before the simulation (model exchange).
+    #[serde(default)]
+    pub steady: Option<SteadyStart>,
     /// Intervals between the ticks of input clocks with fixed or tunable intervals (FMI 3.0).
     pub clock_intervals: Vec<(String, Interval)>,
     /// Real variables whose values are passed to each run.
@@ -197,6 +216,7 @@ impl SimulateOptions {
         output_interval(f64) = |interval| Some(interval);
         ncp(usize) = |intervals| Some(intervals);
         inputs(Inputs) = |inputs| Some(inputs);
+        steady(SteadyStart) = |steady| Some(steady);
         halve_steps(bool) = |halve| halve;
         between_steps(BetweenSteps) = |choice| choice;
         record_events(bool) = |on| on;
@@ -271,7 +291,7 @@ impl SimulateOptions {
                 same_inputs && flag($cancel) == flag(&other.$cancel) $(&& *$field == other.$field)+
             }};
         }
-        same!(but inputs, cancel; start_time, final_time, times, output_interval, ncp, start_values, initial_states, clock_intervals,
+        same!(but inputs, cancel; start_time, final_time, times, output_interval, ncp, start_values, initial_states, steady, clock_intervals,
             parameters, outputs, run, halve_steps, between_steps, record_events)
     }
 

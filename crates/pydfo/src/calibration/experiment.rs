@@ -11,6 +11,7 @@ use calibration::{
     CalibrationError, CsvRequest, Data, Experiment, InitialState, OutputScale, Parameter, ParameterSet,
     Series, Sigma, Weight,
 };
+use fmi::SteadyStart;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use std::path::PathBuf;
@@ -69,6 +70,8 @@ pub(crate) struct ExperimentFields {
     /// An SSP parameter file.
     parameter_set: Option<PathBuf>,
     initial_states: Vec<(String, StateFields)>,
+    is_steady: bool,
+    steady_limit: Option<f64>,
     windows: Vec<(f64, f64)>,
     warm_up: Option<f64>,
     start_time: Option<f64>,
@@ -274,6 +277,9 @@ impl ExperimentFields {
         }
         for (state, initial) in resolved.initial_states {
             experiment = experiment.initial_state(state, initial);
+        }
+        if self.is_steady {
+            experiment = experiment.steady_start(SteadyStart { limit: self.steady_limit });
         }
         for (variable, delay) in self.delays {
             experiment = experiment.delay(variable, delay);

@@ -47,6 +47,8 @@ pub struct SimulationPlan {
     pub(crate) values: RunValues,
     pub(crate) inputs: InputPlan,
     pub(crate) clocks: ClockPlan,
+    /// Longest approach to steady state before the simulation.
+    pub(crate) steady: Option<f64>,
     outputs: Selection,
     /// All variables that a run sets, sorted.
     pub(crate) settings: Arc<[Setting]>,
@@ -69,6 +71,11 @@ pub struct SimulationPlan {
     warned_of_nominals: AtomicBool,
 }
 
+/// Returns the length of a simulation, or 1 if it has none.
+pub(crate) fn span_of(start: f64, end: f64) -> f64 {
+    if end > start { end - start } else { 1.0 }
+}
+
 impl SimulationPlan {
     /// Resolves and checks a simulation of `fmu` without running code of the FMU.
     ///
@@ -82,6 +89,13 @@ impl SimulationPlan {
     pub fn new(fmu: &Fmu, options: &SimulateOptions) -> Result<Self> {
         let kind = fmu.choose(options.run.kind)?;
         let interface = fmu.check_interface(kind)?;
+        if options.steady.is_some() && kind == InterfaceKind::CoSimulation {
+            return Err(FmiError::BadSetting(
+                "a start from steady state requires model exchange, because a co-simulation does not provide its \
+                 derivatives. Use kind = \"ME\", or a warm-up"
+                    .to_owned(),
+            ));
+        }
         let description = fmu.description();
         // A missing binary is reported before a missing final time.
         let grid = options.grid(&description.default_experiment).map_err(|error| {
@@ -103,6 +117,11 @@ impl SimulationPlan {
             && let Some(message) = communication.check_rows(&grid, options.between_steps)?
         {
             fmu.say_once(log::Level::Warn, "rows between steps", &message);
+        }
+        let steady = options.steady.map(|steady| steady.limit.unwrap_or(1e3 * span_of(grid.start, grid.end)));
+        if let Some(limit) = steady.filter(|limit| !(limit.is_finite() && *limit > 0.0)) {
+            let limit = Number(limit);
+            return Err(FmiError::BadSetting(format!("steady_limit = {limit} must be positive and finite")));
         }
         let method = options.method_options(&description.default_experiment);
         method.check()?;
@@ -158,6 +177,7 @@ impl SimulationPlan {
             settings: values.settings(&inputs),
             values,
             clocks,
+            steady,
             inputs,
             outputs: Selection::default(),
             n_states,

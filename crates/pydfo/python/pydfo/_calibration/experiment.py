@@ -118,6 +118,16 @@ class Experiment:
         ``x[run1]``. In model exchange, a state computed by the initialization (``initial="approx"``, ``"calculated"``)
         is set after it. In a co-simulation, such a state raises an error if it is fitted or measured, and a warning if
         it is a number.
+
+        "steady" brings the model to rest at the first values of its inputs before the recording, for each set of trial
+        parameters; ``{"level": Parameter(...), "*": "steady"}`` does so while ``level`` keeps its value. It requires
+        model exchange. The time of the model stays at the start time. The states are at rest if none changes by more
+        than the relative tolerance times the sum of its magnitude and its nominal value in a window as long as the
+        simulation and as long as the approach before it. If they are not at rest within `steady_limit`, the evaluation
+        fails, with the state that moves, its derivative and the limit.
+    steady_limit : float, optional
+        Longest approach to steady state, in units of time; default: 1000 times the simulated time span. An approach
+        also ends after 10000 steps.
     windows : sequence of (float, float), optional
         Intervals of time. Only measurements in one of these intervals count.
     warm_up : float, optional
@@ -163,6 +173,8 @@ class Experiment:
     start_values: list[tuple[str, Any]]
     parameter_set: str | None
     initial_states: list[tuple[str, float | str | Parameter]]
+    is_steady: bool
+    steady_limit: float | None
     windows: list[tuple[float, float]]
     warm_up: float | None
     start_time: float | None
@@ -186,7 +198,8 @@ class Experiment:
         start_time: SupportsFloat | None = None,
         time: str | None = None,
         name: str | None = None,
-        initial_states: Mapping[str, SupportsFloat | str | Parameter] | None = None,
+        initial_states: Mapping[str, SupportsFloat | str | Parameter] | str | None = None,
+        steady_limit: SupportsFloat | None = None,
         windows: Sequence[tuple[float, float]] | None = None,
         warm_up: SupportsFloat | None = None,
         delays: Mapping[str, SupportsFloat] | None = None,
@@ -228,7 +241,13 @@ class Experiment:
             values, file = _values.values_or_file("start_values", start_values)
             put(self, "start_values", values)
             put(self, "parameter_set", file)
-            put(self, "initial_states", states(initial_states))
+            given_states, is_steady = states(initial_states)
+            limit = _values.optional_number("steady_limit", steady_limit)
+            if limit is not None and not is_steady:
+                raise BadCalibrationError('steady_limit requires initial_states = "steady"')
+            put(self, "initial_states", given_states)
+            put(self, "is_steady", is_steady)
+            put(self, "steady_limit", limit)
             put(self, "windows", intervals(window, windows))
             put(self, "warm_up", _values.optional_number("warm_up", warm_up))
             put(self, "start_time", _values.optional_number("start_time", start_time))
@@ -339,13 +358,19 @@ def sources(given: Inputs | None) -> list[tuple[str, Source]]:
     return driven
 
 
-def states(given: Mapping[str, SupportsFloat | str | Parameter] | None) -> list[tuple[str, float | str | Parameter]]:
-    """Returns initial states with their numbers, words or parameters."""
+def states(given: Mapping[str, SupportsFloat | str | Parameter] | str | None) -> tuple[list[tuple[str, float | str | Parameter]], bool]:
+    """Returns initial states with their numbers, words or parameters, and True if the others start from steady state."""
+    if isinstance(given, str):
+        if given.lower() != "steady":
+            raise BadCalibrationError(f"initial_states must be a dict of states, or 'steady', not {_text.show(given)}")
+        return [], True
 
     def of(state: object) -> float | str | Parameter:
         return state if isinstance(state, (str, Parameter)) else _values.number("initial_states", state)  # type: ignore[arg-type]
 
-    return [(name, of(state)) for name, state in _values.pairs("initial_states", given)]
+    pairs = [(name, of(state)) for name, state in _values.pairs("initial_states", given)]
+    others = [pair for pair in pairs if pair[0] != "*" or not isinstance(pair[1], str) or pair[1].lower() != "steady"]
+    return others, len(others) < len(pairs)
 
 
 def intervals(
