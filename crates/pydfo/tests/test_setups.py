@@ -6,6 +6,7 @@ import datetime
 import logging
 import pickle
 import warnings
+import zipfile
 
 import numpy as np
 import pytest
@@ -599,10 +600,9 @@ def test_models_in_hours_read_times_in_any_unit(tmp_path):
 
 def test_time_unit_of_the_model_is_used(tmp_path):
     """The unit of the independent variable of FMI 2.0 and 3.0."""
-    fmi2 = changed("dahlquist", tmp_path / "h2.fmu", ('name="s"', 'name="h"'), ('<BaseUnit s="1"/>', '<BaseUnit s="1" factor="3600"/>'), ('unit="s"', 'unit="h"'))
-    fmi3 = changed(
-        "dahlquist", tmp_path / "h3.fmu", ('name="s"', 'name="h"'), ('<BaseUnit s="1"/>', '<BaseUnit s="1" factor="3600"/>'), ('unit="s"', 'unit="h"'), version="3.0"
-    )
+    hours = [('name="s"', 'name="h"'), ('<BaseUnit s="1"/>', '<BaseUnit s="1" factor="3600"/>'), ('unit="s"', 'unit="h"')]
+    fmi2 = changed("dahlquist", tmp_path / "h2.fmu", *hours)
+    fmi3 = changed("dahlquist", tmp_path / "h3.fmu", *hours, version="3.0")
     for path in (fmi2, fmi3):
         model = pydfo.FMUModel(path)
         assert model.description.time_unit == "h"
@@ -643,3 +643,71 @@ def test_steady_start_brings_the_model_to_rest(tmp_path):
         decay({"time": TIME, "x": DECAY}, initial_states="rest")
     with pytest.raises(Exception, match="requires model exchange"):
         decay({"time": TIME, "x": DECAY}, initial_states="steady", kind="CS")
+
+
+@pytest.fixture(scope="module")
+def turning(tmp_path_factory):
+    """A model whose parameter k is an angle: x' = cos(t + k), x(0) = 1."""
+    path = tmp_path_factory.mktemp("angle") / "angle.fmu"
+    with zipfile.ZipFile(example_fmu("dahlquist")) as source, zipfile.ZipFile(path, "w") as out:
+        for entry in source.infolist():
+            content = source.read(entry)
+            if entry.filename == "sources/model.c":
+                assert b"-memory->k * memory->x;" in content
+                content = content.replace(b"-memory->k * memory->x;", b"cos(time + memory->k);")
+                content = content.replace(b'#include "model.h"', b'#include "model.h"\n#include <math.h>')
+            elif entry.filename == "modelDescription.xml":
+                content = content.replace(b'providesDirectionalDerivative="true"', b'providesDirectionalDerivative="false"')
+            elif entry.filename.startswith("binaries/"):
+                continue
+            out.writestr(entry, content)
+    return path
+
+
+def angle(model, truth, start=3.0, noise=0.0, method="auto", **own):
+    t = np.linspace(0, 6, 61)
+    x = 1 + np.sin(t + truth) - np.sin(truth) + noise * np.random.default_rng(3).standard_normal(61)
+    parameter = Parameter("k", start, -np.pi, np.pi, periodic=True, **own)
+    return Calibration(model, {"time": t, "x": x}, ["x"], [parameter])
+
+
+@pytest.mark.parametrize("method", ["auto", "nelder-mead", "de", "cma-es", "quadratic-model", "pattern-search"])
+def test_search_of_an_angle_crosses_its_bounds(turning, method):
+    """The start 3 is 0.28 from the truth -3 across the bound, and 6 from it within the bounds."""
+    fit = angle(turning, -3.0).fit(method=method, rng=1, max_evaluations=400)
+    assert fit.parameters["k"] == pytest.approx(-3.0, abs=1e-3) and -np.pi <= fit.x[0] < np.pi
+    assert not fit.at_bound and fit.cost < 1e-4
+
+
+def test_errors_and_profiles_of_an_angle_pass_the_bound(turning, tmp_path):
+    at_seam, inside = (angle(turning, truth, start, 0.3).fit() for truth, start in ((np.pi - 1e-4, 3.0), (0.4, 0.1)))
+    assert not at_seam.at_bound and not any(f.id in ("F001", "F002") for f in at_seam.findings if "bound" in f.sentence)
+    low, high = at_seam.profile("k").intervals["k"]
+    center = at_seam.x[0]
+    assert low < center < high and (low < -np.pi or high > np.pi)
+    assert (high - low) / (4 * at_seam.stderr[0]) == pytest.approx(1.0, rel=0.1)
+    assert at_seam.stderr[0] > 0 and inside.stderr[0] > 0
+    found = at_seam.bootstrap(40, rng=2)
+    assert found.stderr[0] == pytest.approx(at_seam.stderr[0], rel=0.5)
+    at_seam.save(tmp_path / "a.fit")
+    again = pydfo.load_fit(tmp_path / "a.fit")
+    assert again.profile("k").intervals == at_seam.profile("k").intervals and again.parameters == at_seam.parameters
+    first = angle(turning, -3.0).fit(method="nelder-mead", max_evaluations=9, checkpoint=tmp_path / "a.ckpt", rng=1)
+    more = angle(turning, -3.0).fit(method="nelder-mead", checkpoint=tmp_path / "a.ckpt", rng=1)
+    whole = angle(turning, -3.0).fit(method="nelder-mead", rng=1)
+    assert first.nfev == 9 and more.x.tobytes() == whole.x.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("own", "said"),
+    [
+        ({"upper": None}, "its period is the difference of its bounds, but they are 0 and inf"),
+        ({"scale": "log", "lower": 0.1}, "cannot be combined with a log scale"),
+        ({"kind": "integer"}, "cannot be combined with integer values"),
+        ({"prior": pydfo.Normal(1, 1)}, "cannot be combined with a prior"),
+        ({"delay_of": "x"}, "cannot be combined with delay_of"),
+    ],
+)
+def test_invalid_periodic_parameters_are_rejected(own, said):
+    with pytest.raises(ValueError, match=said):
+        Parameter(**{"name": "k", "start": 1, "lower": 0, "upper": 6, "periodic": True, **own})

@@ -315,7 +315,7 @@ impl Calibration {
             let moved = fit.x.iter().zip(step.direction.iter()).zip(self.parameters());
             let value = |((x, d), p): ((&f64, &f64), &Parameter)| match *d {
                 0.0 => *x,
-                d => outer(p, inner(p, *x) + by * d).clamp(p.lower(), p.upper()),
+                d => outer(p, inner(p, *x) + by * d).clamp(p.search_lower(), p.search_upper()),
             };
             moved.map(value).collect()
         };
@@ -364,7 +364,8 @@ impl Calibration {
             let (mut part, mut forward, mut backward) = (0.0_f64, f64::INFINITY, f64::INFINITY);
             for (i, p) in self.parameters().iter().enumerate().filter(|(i, _)| direction[*i] != 0.0) {
                 let (x, d) = (inner(p, fit.x[i]), direction[i]);
-                let (up, down) = ((inner(p, p.upper()) - x) / d.abs(), (x - inner(p, p.lower())) / d.abs());
+                let (lower, upper) = (inner(p, p.search_lower()), inner(p, p.search_upper()));
+                let (up, down) = ((upper - x) / d.abs(), (x - lower) / d.abs());
                 (forward, backward) = if d > 0.0 {
                     (forward.min(up), backward.min(down))
                 } else {

@@ -123,7 +123,7 @@ impl Calibration {
     /// ([`dfo::typical_size`]). On a logarithmic scale, it is the size of the logarithm. The default is 1.
     /// For a value that has approached zero, the size at the start is used.
     pub(crate) fn size_of(&self, parameter: &Parameter, at: f64) -> f64 {
-        let (bounds, given) = ((parameter.lower(), parameter.upper()), self.given_size(parameter));
+        let (bounds, given) = (parameter.search_bounds(), self.given_size(parameter));
         let largest = at.abs().max(parameter.start().abs());
         typical_size(parameter.scale_kind(), largest, bounds, given).unwrap_or(1.0)
     }

@@ -6,7 +6,7 @@ use crate::problem::column_units::declared;
 use crate::problem::definition::{Element, Problem};
 use crate::problem::experiment::{Experiment, InitialState};
 use crate::problem::input::Shift;
-use crate::problem::parameter::{Parameter, Target};
+use crate::problem::parameter::{Cycle, Parameter, Target};
 use base::Number;
 use fmi::{ModelDescription, Value};
 
@@ -19,6 +19,8 @@ pub(crate) struct Affine {
     pub(crate) factor: f64,
     pub(crate) offset: f64,
     pub(crate) unit: UnitConversion,
+    /// Range of the entry if it is periodic.
+    pub(crate) cycle: Option<Cycle>,
 }
 
 /// Returns the conversion from the unit of a parameter to the unit of a variable, or of the time.
@@ -49,7 +51,7 @@ fn conversion(
 
 impl Affine {
     fn constant(value: f64) -> Self {
-        Self { entry: None, factor: 0.0, offset: value, unit: UnitConversion::IDENTITY }
+        Self { entry: None, factor: 0.0, offset: value, unit: UnitConversion::IDENTITY, cycle: None }
     }
 
     /// True if the value equals the entry.
@@ -57,6 +59,7 @@ impl Affine {
         self.entry.is_some()
             && (self.factor, self.offset) == (1.0, 0.0)
             && self.unit == UnitConversion::IDENTITY
+            && self.cycle.is_none()
     }
 
     pub(crate) fn is_constant(&self) -> bool {
@@ -65,11 +68,12 @@ impl Affine {
 
     /// Returns the number in the unit of the parameter.
     pub(crate) fn value(&self, x: &[f64]) -> f64 {
-        match self.entry {
+        let Some(entry) = self.entry else { return self.offset };
+        let x = self.cycle.map_or(x[entry], |cycle| cycle.wrapped(x[entry]));
+        match (self.factor, self.offset) {
             // This is exact also for an infinite entry.
-            Some(entry) if (self.factor, self.offset) == (1.0, 0.0) => x[entry],
-            Some(entry) => self.factor * x[entry] + self.offset,
-            None => self.offset,
+            (1.0, 0.0) => x,
+            (factor, offset) => factor * x + offset,
         }
     }
 
@@ -196,11 +200,13 @@ fn follow<'a>(
                 problem.parameters[of].name()
             ),
         })?);
-        all.push((parameter, Affine { entry, factor, offset, unit: UnitConversion::IDENTITY }));
+        let cycle = problem.parameters[of].cycle();
+        all.push((parameter, Affine { entry, factor, offset, unit: UnitConversion::IDENTITY, cycle }));
     }
     for (i, element) in elements.iter().enumerate() {
         if element.source.is_none() && element.experiment == Some(k) {
-            let of = Affine { entry: Some(i), factor: 1.0, offset: 0.0, unit: UnitConversion::IDENTITY };
+            let (unit, cycle) = (UnitConversion::IDENTITY, element.parameter.cycle());
+            let of = Affine { entry: Some(i), factor: 1.0, offset: 0.0, unit, cycle };
             all.push((&element.parameter, of));
         }
     }
@@ -223,7 +229,8 @@ pub(crate) fn tied_values(
                 None => parameter.name().to_owned(),
             };
             let (factor, offset) = (tie.factor, tie.offset);
-            all.push((name, Affine { entry: Some(entry), factor, offset, unit: UnitConversion::IDENTITY }));
+            let (unit, cycle) = (UnitConversion::IDENTITY, element.parameter.cycle());
+            all.push((name, Affine { entry: Some(entry), factor, offset, unit, cycle }));
         }
     }
     Ok(all)

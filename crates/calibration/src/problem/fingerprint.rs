@@ -35,7 +35,11 @@ pub(crate) fn identity(
     let is_known = |(name, value): &(String, String)| value != "none" || !name.starts_with("time_unit ");
     all.extend(fields("the simulations", &settings)?.into_iter().filter(is_known));
     for parameter in &problem.parameters {
-        all.extend(fields(&format!("parameter {}", parameter.name()), &parameter.without_search())?);
+        let own = fields(&format!("parameter {}", parameter.name()), &parameter.without_search())?;
+        // Checkpoints of older versions have no periodic parameters.
+        all.extend(
+            own.into_iter().filter(|(name, value)| value != "false" || !name.starts_with("periodic ")),
+        );
     }
     for (k, experiment) in problem.experiments.iter().enumerate() {
         all.push((format!("data of experiment {k}"), experiment.data.hash()));

@@ -74,6 +74,8 @@ pub struct Parameter {
     pub(super) kind: ParameterKind,
     /// Fixes the parameter at its start value.
     pub(super) fixed: bool,
+    /// True if the parameter is an angle, whose bounds are the same point.
+    pub(super) periodic: bool,
     /// Uses a separate value in each experiment.
     pub(super) local: bool,
     /// Names of the experiments in which it acts; default: all.
@@ -124,6 +126,7 @@ impl Default for Parameter {
             nominal: None,
             kind: ParameterKind::Continuous,
             fixed: false,
+            periodic: false,
             local: false,
             experiments: None,
             variables: None,
@@ -138,6 +141,31 @@ impl Default for Parameter {
             display_name: None,
             prior: None,
         }
+    }
+}
+
+/// Range of a periodic parameter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Cycle {
+    lower: f64,
+    upper: f64,
+}
+
+impl Cycle {
+    pub(crate) fn period(&self) -> f64 {
+        self.upper - self.lower
+    }
+
+    /// Returns the equivalent value from the lower bound up to the upper bound. A value in this range does
+    /// not change.
+    pub(crate) fn wrapped(&self, value: f64) -> f64 {
+        if (self.lower..self.upper).contains(&value) || !value.is_finite() {
+            return value;
+        }
+        let turns = ((value - self.lower) / self.period()).floor();
+        let wrapped = value - turns * self.period();
+        // Rounding may leave the range.
+        if wrapped >= self.upper { self.lower } else { wrapped.max(self.lower) }
     }
 }
 
@@ -220,10 +248,11 @@ impl Parameter {
         Self { variables, delay_of: None, offset_of: None, factor_of: None, ..self }.normalised()
     }
 
-    /// Makes the parameter the delay tau of a compared output or of an input, in the time unit of the model. An output `y(t - tau)` is
-    /// compared with the measurement at t. An input is `u(t - tau)`. The name of the parameter can then be
-    /// chosen freely. Before the start, an output has its value at the start, and an input has the value of
-    /// its first row. The lower bound must be finite. Negative values delay the recording instead.
+    /// Makes the parameter the delay tau of a compared output or of an input, in the time unit of the model.
+    /// An output `y(t - tau)` is compared with the measurement at t. An input is `u(t - tau)`. The name of
+    /// the parameter can then be chosen freely. Before the start, an output has its value at the start, and
+    /// an input has the value of its first row. The lower bound must be finite. Negative values delay the
+    /// recording instead.
     #[must_use]
     pub fn delay_of(self, variable: impl Into<String>) -> Self {
         Self { variables: None, delay_of: Some(variable.into()), offset_of: None, factor_of: None, ..self }
@@ -304,6 +333,52 @@ impl Parameter {
         self
     }
 
+    /// Makes the parameter an angle: the period is the difference of its bounds, which are the same point.
+    /// The search crosses the bounds. The model receives values from the lower to the upper bound, and so do
+    /// results.
+    #[must_use]
+    pub fn periodic(mut self, periodic: bool) -> Self {
+        self.periodic = periodic;
+        self
+    }
+
+    /// True if the parameter is an angle that is not fixed.
+    pub fn is_periodic(&self) -> bool {
+        self.periodic && !self.fixed
+    }
+
+    /// Returns the range of a periodic parameter.
+    pub(crate) fn cycle(&self) -> Option<Cycle> {
+        let (lower, upper) = self.given_bounds();
+        self.is_periodic().then_some(Cycle { lower, upper })
+    }
+
+    /// Returns the bounds of a search. For a periodic parameter, they are half a period wider on both sides,
+    /// so that each value lies within half a period of a start without a bound between.
+    pub(crate) fn search_bounds(&self) -> (f64, f64) {
+        let half = self.cycle().map_or(0.0, |cycle| 0.5 * cycle.period());
+        (self.lower() - half, self.upper() + half)
+    }
+
+    pub(crate) fn search_lower(&self) -> f64 {
+        self.search_bounds().0
+    }
+
+    pub(crate) fn search_upper(&self) -> f64 {
+        self.search_bounds().1
+    }
+
+    /// Returns the value of a periodic parameter within its bounds; the value itself for other parameters.
+    pub(crate) fn reported(&self, value: f64) -> f64 {
+        self.cycle().map_or(value, |cycle| cycle.wrapped(value))
+    }
+
+    /// Returns the equivalent value of a periodic parameter that is nearest to another value.
+    pub(crate) fn nearest_to(&self, center: f64, value: f64) -> f64 {
+        let turns = |cycle: Cycle| ((center - value) / cycle.period()).round() * cycle.period();
+        self.cycle().map_or(value, |cycle| value + turns(cycle))
+    }
+
     /// Makes the parameter local: it has a separate value in each experiment, such as `T0[run1]` and
     /// `T0[run2]` (see [`Experiment::named`](crate::Experiment::named)). If an experiment has a [start
     /// value](crate::Experiment::start_value) for this variable, the search starts from it there.
@@ -351,10 +426,11 @@ impl Parameter {
 
     /// Returns the part that costs depend on, without the settings of the search and the display.
     pub(crate) fn without_search(&self) -> Self {
+        let (lower, upper) = if self.periodic { (self.lower, self.upper) } else { (None, None) };
         Self {
             start: None,
-            lower: None,
-            upper: None,
+            lower,
+            upper,
             scale: Scale::Linear,
             nominal: None,
             kind: ParameterKind::Continuous,
@@ -416,9 +492,8 @@ impl Parameter {
         self.unit.as_deref()
     }
 
-    /// Returns the unit of its values: the given unit, otherwise the unit of its variable, or the time unit of
-    /// the model for a delay.
-    /// Returns `None` if the model declares no unit.
+    /// Returns the unit of its values: the given unit, otherwise the unit of its variable, or the time unit
+    /// of the model for a delay. Returns `None` if the model declares no unit.
     pub fn unit<'a>(&'a self, description: &'a ModelDescription) -> Option<&'a str> {
         let of_model = || match self.variable() {
             Some(name) => description.variable(name).and_then(|v| v.unit.as_deref()),

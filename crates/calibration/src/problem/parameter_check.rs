@@ -106,6 +106,24 @@ impl Parameter {
                 "its log-normal prior requires values above 0, but its lower bound is {low}. Set a lower bound above 0, or scale = log"
             ));
         }
+        if self.periodic {
+            let others = [
+                (self.scale == Scale::Log, "a log scale"),
+                (self.kind != ParameterKind::Continuous, "integer values"),
+                (self.prior.is_some(), "a prior"),
+                (matches!(self.target(), Target::Delay(_)), "delay_of"),
+            ];
+            if let Some((_, other)) = others.into_iter().find(|(is_given, _)| *is_given) {
+                return bad(format!(
+                    "is periodic, which cannot be combined with {other}. Remove one of them"
+                ));
+            }
+            if !(lower < upper && (upper - lower).is_finite()) {
+                return bad(format!(
+                    "is periodic, so its period is the difference of its bounds, but they are {low} and {high}. Set both bounds"
+                ));
+            }
+        }
         if matches!(self.target(), Target::Delay(_)) && !self.lower().is_finite() {
             return bad(format!(
                 "a delay requires a finite lower bound, not {low}. Set lower = 0, for example"
@@ -127,6 +145,11 @@ impl Parameter {
             ));
         }
         // The other parameter determines the settings of the search and the prior.
+        if self.periodic {
+            return bad(format!(
+                "it is tied to '{to}', which determines whether it is periodic. Omit periodic"
+            ));
+        }
         let bare = Self { display_name: self.display_name.clone(), prior: None, ..self.without_search() };
         if *self != bare {
             return bad(format!(

@@ -94,7 +94,7 @@ impl LiveSubject {
         Self {
             model: description.model_name.clone(),
             parameters: calibration.parameters().iter().map(parameter).collect(),
-            bounds: calibration.parameters().iter().map(|p| (p.lower(), p.upper())).collect(),
+            bounds: calibration.parameters().iter().map(|p| p.search_bounds()).collect(),
             experiments: calibration.problem().experiment_names(),
             units: outputs.filter_map(|output| unit(&output.variable)).collect(),
             time_unit: description.time_unit().to_owned(),

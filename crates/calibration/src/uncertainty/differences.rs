@@ -115,7 +115,7 @@ struct Step {
 impl Center<'_> {
     fn bounds(&self, k: usize) -> (f64, f64) {
         let p = &self.parameters[self.free[k]];
-        (inner(p, p.lower()), inner(p, p.upper()))
+        (inner(p, p.search_lower()), inner(p, p.search_upper()))
     }
 
     fn coordinate(&self, k: usize) -> f64 {
@@ -145,7 +145,7 @@ impl Center<'_> {
             let part = step.direction[k] * by;
             if part != 0.0 {
                 let p = &self.parameters[i];
-                x[i] = outer(p, self.coordinate(k) + part).clamp(p.lower(), p.upper());
+                x[i] = outer(p, self.coordinate(k) + part).clamp(p.search_lower(), p.search_upper());
             }
         }
         x

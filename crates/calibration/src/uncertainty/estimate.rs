@@ -413,7 +413,7 @@ impl Calibration {
     /// True if a parameter is at one of its bounds.
     fn is_at_bound(&self, p: &Parameter, x: f64) -> bool {
         let (lower, upper, at) = (inner(p, p.lower()), inner(p, p.upper()), inner(p, x));
-        (at - lower).min(upper - at) <= AT * self.size_of(p, x)
+        !p.is_periodic() && (at - lower).min(upper - at) <= AT * self.size_of(p, x)
     }
 }
 

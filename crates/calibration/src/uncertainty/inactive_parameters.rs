@@ -181,7 +181,7 @@ impl Calibration {
         let candidate = |(index, p): (usize, &Parameter)| {
             let x = inner(p, report.x[index]);
             let (lower, upper) = (inner(p, p.lower()), inner(p, p.upper()));
-            if p.is_fixed() || lower == upper {
+            if p.is_fixed() || p.is_periodic() || lower == upper {
                 return None;
             }
             let (side, distance) = match x - lower <= upper - x {

@@ -223,7 +223,11 @@ impl Calibration {
             match fitted {
                 _ if context.is_over() => Err(CalibrationError::Cancelled),
                 fitted => {
-                    let x = fitted.ok().filter(|fit| fit.report.is_success()).map(|fit| fit.x);
+                    let nearest = |found: Fit| -> Vec<f64> {
+                        let own = self.parameters().iter().zip(&fit.x).zip(&found.x);
+                        own.map(|((p, center), x)| p.nearest_to(*center, *x)).collect()
+                    };
+                    let x = fitted.ok().filter(|fit| fit.report.is_success()).map(nearest);
                     held().add(number, x.clone());
                     Ok(x)
                 }

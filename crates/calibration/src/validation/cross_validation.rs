@@ -162,14 +162,16 @@ impl Calibration {
             stats += fold.validation.stats;
         }
         let shared = self.problem().parameters.iter().filter(|p| !p.is_local());
-        let spread = |name: &str| {
+        let spread = |p: &Parameter| {
+            let name = p.name();
             let of = |fit: &Fit| fit.names.iter().position(|n| n == name).map(|i| fit.x[i]);
-            let values: Vec<f64> = folds.iter().filter_map(|fold| of(&fold.fit)).collect();
+            let found: Vec<f64> = folds.iter().filter_map(|fold| of(&fold.fit)).collect();
+            let values: Vec<f64> = found.iter().map(|x| p.nearest_to(found[0], *x)).collect();
             let mean = values.iter().sum::<f64>() / values.len() as f64;
             let squares: f64 = values.iter().map(|v| (v - mean) * (v - mean)).sum();
             (name.to_owned(), mean, (squares / (values.len() as f64 - 1.0)).sqrt())
         };
-        let parameters = shared.map(|p| spread(p.name())).collect();
+        let parameters = shared.map(spread).collect();
         Ok(CrossValidation { rms: (sum / counted as f64).sqrt(), parameters, stats, folds, unfinished })
     }
 

@@ -337,3 +337,26 @@ fn windows_weights_and_warm_up_select_measurements() {
     assert_eq!(rows[0].time, [3.0, 4.0, 5.0]);
     assert_near(rows[0].columns[0][0], (-1.5f64).exp(), 1e-5);
 }
+
+/// The rate k as an angle of period 4: the model receives 2 for 6 and for -2, too.
+#[test]
+fn periodic_parameter_reaches_the_model_within_its_bounds() {
+    let t: Vec<f64> = (0..21).map(|k| 0.1 * f64::from(k)).collect();
+    let x = t.iter().map(|t| (-2.0 * t).exp()).collect();
+    let data = calibration::Data::from_columns(t, [("x".to_owned(), x)]).unwrap();
+    let fmu = fmi::Fmu::open(example_models::example_fmu("dahlquist").unwrap()).unwrap();
+    let calibration = Calibration::builder(fmu)
+        .experiment(calibration::Experiment::new(data).output("x", "x"))
+        .parameter(Parameter::new("k", 3.5).bounds(0.5, 4.5).periodic(true))
+        .build()
+        .unwrap();
+    let bits = |k: f64| calibration.cost(&[k], &calibration::RunContext::new()).unwrap().to_bits();
+    assert_eq!((bits(6.0), bits(-2.0), bits(-6.0)), (bits(2.0), bits(2.0), bits(2.0)));
+    assert_eq!(bits(4.5), bits(0.5));
+    assert_ne!(bits(2.5), bits(2.0));
+    let fit = calibration.fit(calibration::FitOptions::default()).unwrap();
+    assert!((fit.x[0] - 2.0).abs() < 1e-4 && fit.at_bound.is_empty(), "{fit}");
+    assert_eq!(fit.bounds, [(0.5, 4.5)]);
+    let open = Parameter::new("k", 1.0).periodic(true).check().unwrap_err().to_string();
+    assert!(open.contains("its period is the difference of its bounds, but they are -inf and inf"), "{open}");
+}

@@ -480,7 +480,7 @@ impl Calibration {
         };
         let mut search = search
             .start(start)
-            .bounds(&bound(Parameter::lower), &bound(Parameter::upper))
+            .bounds(&bound(Parameter::search_lower), &bound(Parameter::search_upper))
             .map_err(|e| self.name_parameter(e))?
             .transforms(&transforms)
             .kinds(&kinds)
@@ -508,7 +508,9 @@ impl Calibration {
             Some(_) => lock(&kept).clone(),
             None => std::mem::take(&mut *lock(&kept)),
         };
-        Ok((outcome?, residuals))
+        let mut report = outcome?;
+        report.x.iter_mut().zip(parameters).for_each(|(x, p)| *x = p.reported(*x));
+        Ok((report, residuals))
     }
 
     /// Returns the start as the result of a search that had no time for a single evaluation.
@@ -576,8 +578,8 @@ impl Calibration {
             if is_free(&i) { side(&self.parameters()[i]) } else { 0.0 }
         };
         let class = ProblemClass {
-            lower: &all.clone().map(|i| bound(i, Parameter::lower)).collect::<Vec<_>>(),
-            upper: &all.clone().map(|i| bound(i, Parameter::upper)).collect::<Vec<_>>(),
+            lower: &all.clone().map(|i| bound(i, Parameter::search_lower)).collect::<Vec<_>>(),
+            upper: &all.clone().map(|i| bound(i, Parameter::search_upper)).collect::<Vec<_>>(),
             // Fixed parameters can have any value and must not affect the choice of the method.
             kinds: &all.filter(is_free).map(|i| self.parameters()[i].value_kind()).collect::<Vec<_>>(),
             residuals: objective.has_residuals(),

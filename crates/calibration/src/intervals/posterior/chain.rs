@@ -66,8 +66,12 @@ impl Chain<'_> {
         let bounds: (Vec<f64>, Vec<f64>) = self
             .free
             .iter()
-            .map(|i| &parameters[*i])
-            .map(|p| (inner(p, p.lower()), inner(p, p.upper())))
+            .map(|i| (&parameters[*i], fit.x[*i]))
+            .map(|(p, x)| match p.cycle() {
+                // One period around the fit contains each value once.
+                Some(cycle) => (x - 0.5 * cycle.period(), x + 0.5 * cycle.period()),
+                None => (inner(p, p.lower()), inner(p, p.upper())),
+            })
             .unzip();
         let (lower, upper) = &bounds;
         if options.start == WalkerStart::Box

@@ -227,7 +227,8 @@ impl Calibration {
     fn held_in(&self, fit: &Fit) -> Vec<usize> {
         let is_at_bound = |i: usize, p: &Parameter| {
             let at = inner(p, fit.x[i]);
-            (at - inner(p, p.lower())).min(inner(p, p.upper()) - at) <= AT * self.size_of(p, fit.x[i])
+            let distance = (at - inner(p, p.lower())).min(inner(p, p.upper()) - at);
+            !p.is_periodic() && distance <= AT * self.size_of(p, fit.x[i])
         };
         let was_held =
             |i: usize| fit.uncertainty.as_ref().is_some_and(|uncertainty| uncertainty.held.contains(&i));

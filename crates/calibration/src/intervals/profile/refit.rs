@@ -115,7 +115,7 @@ impl Refits<'_> {
         let options = RunOptions { method, tolerances, limits, workers: Some(1), ..RunOptions::default() };
         let report = dfo::minimize(ByRef(self))
             .start(start)
-            .bounds(&bound(Parameter::lower), &bound(Parameter::upper))
+            .bounds(&bound(Parameter::search_lower), &bound(Parameter::search_upper))
             .map_err(failed)?
             .transforms(&transforms)
             .kinds(&vec![ParameterKind::Continuous; start.len()])

@@ -77,8 +77,8 @@ pub(super) fn walk(
 ) -> Side {
     let parameter = &refits.calibration.parameters()[origin.index];
     let (sign, bound) = match side {
-        BoundSide::Lower => (-1.0, parameter.lower()),
-        BoundSide::Upper => (1.0, parameter.upper()),
+        BoundSide::Lower => (-1.0, parameter.search_lower()),
+        BoundSide::Upper => (1.0, parameter.search_upper()),
     };
     let mut walk = Walk { refits, origin, context, sign, bound, done: Side::new(origin.index, side) };
     walk.done.end = walk.walk_on();
@@ -111,7 +111,7 @@ impl Walk<'_> {
         let Origin { index, cost, per_rise, threshold, .. } = *self.origin;
         let along = |(p, (value, slope)): (&Parameter, (&f64, &f64))| {
             let moved = value + slope * (u - from.u[index]);
-            outer(p, if moved.is_finite() { moved } else { *value }).clamp(p.lower(), p.upper())
+            outer(p, if moved.is_finite() { moved } else { *value }).clamp(p.search_lower(), p.search_upper())
         };
         let mut x: Vec<f64> = self.parameters().iter().zip(from.u.iter().zip(slopes)).map(along).collect();
         x[index] = if self.is_at_limit(u) { self.bound } else { outer(self.parameter(), u) };

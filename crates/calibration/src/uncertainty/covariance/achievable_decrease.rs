@@ -84,7 +84,7 @@ impl At<'_> {
         let mut x = self.x.to_vec();
         for (k, &i) in self.free.iter().enumerate() {
             let p = &self.parameters[i];
-            x[i] = outer(p, inner(p, x[i]) + part * step[k]).clamp(p.lower(), p.upper());
+            x[i] = outer(p, inner(p, x[i]) + part * step[k]).clamp(p.search_lower(), p.search_upper());
         }
         x
     }

@@ -97,6 +97,11 @@ class Parameter:
         "de" (integers) or "ga" (both).
     fixed : bool
         If True, hold the parameter at `start`.
+    periodic : bool
+        If True, the parameter is an angle, and both bounds are the same point: ``Parameter("angle", 3, -pi, pi,
+        periodic=True)``. The period is ``upper - lower``. The search crosses the bounds, and profiles and intervals may
+        extend beyond them. The model and the results have values within the bounds. It cannot be combined with a log
+        scale, a discrete kind, a prior or `delay_of`.
     local : bool
         If True, each experiment has a separate value, ``T0[run1]``, ``T0[run2]``, instead of one for all. If the
         `start_values` of an `Experiment` include the parameter, its search starts there.
@@ -158,6 +163,7 @@ class Parameter:
     nominal: float | None
     kind: str
     fixed: bool
+    periodic: bool
     local: bool
     experiments: tuple[str, ...] | None
     variables: tuple[str, ...] | None
@@ -184,6 +190,7 @@ class Parameter:
         nominal: float | None = None,
         kind: Literal["continuous", "integer", "categorical"] = "continuous",
         fixed: bool = False,
+        periodic: bool = False,
         local: bool = False,
         experiments: Sequence[str] | str | None = None,
         variables: Sequence[str] | str | None = None,
@@ -211,6 +218,7 @@ class Parameter:
             "nominal": nominal,
             "kind": kind,
             "fixed": fixed,
+            "periodic": periodic,
             "local": local,
             "experiments": None if acting is None else names("experiments", acting),
             "variables": None if listed is None else names("variables", listed),
@@ -258,4 +266,4 @@ class Parameter:
 
 
 #: Default values, which representations omit; None for all other fields.
-_DEFAULTS = {"scale": "linear", "kind": "continuous", "fixed": False, "local": False, "factor": 1.0, "offset": 0.0, "across_units": False}
+_DEFAULTS = {"scale": "linear", "kind": "continuous", "fixed": False, "periodic": False, "local": False, "factor": 1.0, "offset": 0.0, "across_units": False}
