@@ -635,14 +635,15 @@ def test_steady_start_brings_the_model_to_rest(tmp_path):
     held = Calibration(example_fmu("switched_input"), data, ["y"], parameters, initial_states={"x": 0.5, "*": "steady"}, **own)
     assert held.simulate([0.8])["y"][0] == 0.5
     short = Calibration(example_fmu("switched_input"), data, ["y"], parameters, initial_states="steady", steady_limit=1e-3, **own)
-    with pytest.raises(pydfo.SimulationError, match="it still moves after 0.001 units of time, where the derivative of 'x' is"):
+    with pytest.raises(pydfo.FmuError, match="it still moves after 0.001 units of time, where the derivative of 'x' is"):
         short.cost([0.8])
     with pytest.raises(ValueError, match="steady_limit requires initial_states"):
         decay({"time": TIME, "x": DECAY}, steady_limit=3)
     with pytest.raises(ValueError, match="must be a dict of states, or 'steady', not 'rest'"):
         decay({"time": TIME, "x": DECAY}, initial_states="rest")
-    with pytest.raises(Exception, match="requires model exchange"):
-        decay({"time": TIME, "x": DECAY}, initial_states="steady", kind="CS")
+    stepping = example_fmu("dahlquist", kind="CS")
+    with pytest.raises(pydfo.FmuError, match="requires model exchange"):
+        Calibration(stepping, {"time": TIME, "x": DECAY}, ["x"], [K], initial_states="steady", kind="CS")
 
 
 @pytest.fixture(scope="module")

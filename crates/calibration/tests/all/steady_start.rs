@@ -5,8 +5,8 @@
 use calibration::{
     Calibration, CalibrationError, Data, Experiment, FitOptions, Parameter, RunContext, SimulationSettings,
 };
-use example_models::example_fmu;
-use fmi::{Fmu, InterfaceChoice, RunSettings, SteadyStart};
+use example_models::{ExampleKind, example_fmu, example_fmu_as};
+use fmi::{Fmu, RunSettings, SteadyStart};
 
 fn open(model: &str) -> Fmu {
     Fmu::open(example_fmu(model).unwrap()).unwrap()
@@ -123,7 +123,13 @@ fn model_without_rest_is_a_failed_evaluation_with_a_reason() {
     assert!((enough.cost(&[0.1], &RunContext::new()).unwrap() - 11.0).abs() < 1e-3);
     let wrong = single("dahlquist", "x", Some(-1.0), RunSettings::default()).unwrap_err().to_string();
     assert!(wrong.contains("steady_limit = -1 must be positive"), "{wrong}");
-    let stepping = RunSettings { kind: InterfaceChoice::CoSimulation, ..RunSettings::default() };
-    let wrong = single("dahlquist", "x", None, stepping).unwrap_err().to_string();
+    let stepping = Fmu::open(example_fmu_as("dahlquist", ExampleKind::Fmi2CoSimulation).unwrap()).unwrap();
+    let data = Data::from_columns(vec![0.0, 1.0], [("x".to_owned(), vec![1.0; 2])]).unwrap();
+    let wrong = Calibration::builder(stepping)
+        .experiment(Experiment::new(data).output("x", "x").steady_start(SteadyStart::default()))
+        .parameter(Parameter::new("k", 1.0))
+        .build()
+        .unwrap_err()
+        .to_string();
     assert!(wrong.contains("a start from steady state requires model exchange"), "{wrong}");
 }
