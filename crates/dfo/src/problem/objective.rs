@@ -97,7 +97,7 @@ impl Query<'_> {
 /// [`residuals`] for objectives with more features, and [`ByRef`] for a borrowed objective.
 pub trait Objective: Sync {
     /// Evaluates the point `x` (user's units and order) and writes the result to `answer`, which is cleared
-    /// beforehand. The result contains the outcome, the counted work, and the residuals if [`Query::want`]
+    /// beforehand. The result contains the outcome, the counted work, and the residuals if [`Query::kind`]
     /// requests them. With residuals, the cutoff is infinite.
     fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer);
 
