@@ -148,11 +148,7 @@ impl LoadedProblem {
         stats: &mut Stats,
         lend: &mut impl FnMut(usize, &mut RunOn<'_>) -> Result<Result<Report, FmiError>, CostFailure>,
     ) -> Result<f64, CostFailure> {
-        // The running sum is in the order of time, the cost in the order of the residuals. The sums of n
-        // positive numbers in two orders differ by less than 2 n units of rounding (Higham, Accuracy and
-        // Stability of Numerical Algorithms, 2002, section 4.2).
-        let running =
-            CostRule { cutoff: rule.cutoff * (1.0 + 2.0 * self.n_residuals as f64 * f64::EPSILON), ..rule };
+        let running = self.running(rule);
         let (mut rest, priors) = out.split_at_mut(self.layout.n_measurements());
         let mut sum = self.prior_residuals(x, priors)?;
         if sum > running.cutoff {
@@ -161,22 +157,61 @@ impl LoadedProblem {
         for (k, simulation) in self.simulations.iter().enumerate() {
             let (part, others) = rest.split_at_mut(simulation.comparison.n_residuals());
             rest = others;
-            let (schedule, shifts) = (simulation.schedule(x), simulation.output_shifts(x));
-            let mut accumulator =
-                Accumulator::new(&simulation.comparison, &schedule, &shifts, running, sum, part);
-            let ran = lend(k, &mut |simulator| simulation.run(simulator, x, &schedule, &mut accumulator))?;
-            match &ran {
-                Ok(report) => *stats += report.stats,
-                Err(FmiError::Simulation(error)) => *stats += error.stats,
-                Err(_) => {}
-            }
-            sum = self.running_sum(k, &accumulator, ran).map_err(|no_cost| match self.simulations.len() {
-                1 => no_cost,
-                _ => no_cost.in_experiment(&simulation.name),
-            })?;
+            sum = self.simulate_recording(k, x, running, sum, part, stats, lend)?;
         }
         let cost = sum_of_squares(out);
         if cost > rule.cutoff { Err(CostFailure::Above) } else { Ok(cost) }
+    }
+
+    /// Returns the cost of a single recording, without priors, and writes its residuals to `out`; see
+    /// [`evaluate`](Self::evaluate).
+    pub(crate) fn evaluate_recording(
+        &self,
+        k: usize,
+        x: &[f64],
+        rule: CostRule<'_>,
+        out: &mut [f64],
+        stats: &mut Stats,
+        mut lend: impl FnMut(usize, &mut RunOn<'_>) -> Result<Result<Report, FmiError>, CostFailure>,
+    ) -> Result<f64, CostFailure> {
+        let mut simulate = || self.simulate_recording(k, x, self.running(rule), 0.0, out, stats, &mut lend);
+        self.fmu.repeat_if_learned(&mut simulate)?;
+        let cost = sum_of_squares(out);
+        if cost > rule.cutoff { Err(CostFailure::Above) } else { Ok(cost) }
+    }
+
+    /// Simulates a recording and writes its residuals to `out`. Returns `sum` plus the sum of their squares.
+    #[allow(clippy::too_many_arguments)]
+    fn simulate_recording(
+        &self,
+        k: usize,
+        x: &[f64],
+        running: CostRule<'_>,
+        sum: f64,
+        out: &mut [f64],
+        stats: &mut Stats,
+        lend: &mut impl FnMut(usize, &mut RunOn<'_>) -> Result<Result<Report, FmiError>, CostFailure>,
+    ) -> Result<f64, CostFailure> {
+        let simulation = &self.simulations[k];
+        let (schedule, shifts) = (simulation.schedule(x), simulation.output_shifts(x));
+        let mut accumulator = Accumulator::new(&simulation.comparison, &schedule, &shifts, running, sum, out);
+        let ran = lend(k, &mut |simulator| simulation.run(simulator, x, &schedule, &mut accumulator))?;
+        match &ran {
+            Ok(report) => *stats += report.stats,
+            Err(FmiError::Simulation(error)) => *stats += error.stats,
+            Err(_) => {}
+        }
+        self.running_sum(k, &accumulator, ran).map_err(|no_cost| match self.simulations.len() {
+            1 => no_cost,
+            _ => no_cost.in_experiment(&simulation.name),
+        })
+    }
+
+    /// Returns the rule for a running sum. It is in the order of time, the cost in the order of the residuals.
+    /// The sums of n positive numbers in two orders differ by less than 2 n units of rounding (Higham,
+    /// Accuracy and Stability of Numerical Algorithms, 2002, section 4.2).
+    fn running<'a>(&self, rule: CostRule<'a>) -> CostRule<'a> {
+        CostRule { cutoff: rule.cutoff * (1.0 + 2.0 * self.n_residuals as f64 * f64::EPSILON), ..rule }
     }
 
     /// Computes the residuals of the priors and returns the sum of their squares. No loss is applied, because

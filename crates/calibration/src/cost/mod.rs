@@ -11,3 +11,4 @@ pub(crate) mod process;
 pub(crate) mod request;
 pub(crate) mod residual;
 pub(crate) mod simulation;
+pub(crate) mod split;

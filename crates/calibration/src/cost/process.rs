@@ -30,6 +30,15 @@ pub(crate) struct Evaluation {
     /// Accuracy, if it differs from the accuracy of the problem.
     pub(crate) accuracy: Option<Accuracy>,
     pub(crate) process: ProcessChoice,
+    /// Index of the only recording to simulate. `None`: all, followed by the priors.
+    pub(crate) recording: Option<usize>,
+}
+
+impl Evaluation {
+    /// Evaluates all recordings with the accuracy of the problem.
+    pub(crate) fn whole(process: ProcessChoice) -> Self {
+        Self { accuracy: None, process, recording: None }
+    }
 }
 
 /// Best point of a search, with its residuals if they are known.
@@ -324,6 +333,13 @@ impl Remote {
         })?;
         Ok(Self { processes, run_limit, n_experiments })
     }
+
+    /// True if a comparison has shown that the model can be reset between two simulations.
+    pub(crate) fn is_reset_tested(&self) -> bool {
+        let reuse = self.processes.fmu.reuse();
+        reuse != Reuse::NewProcess && self.processes.comparisons.has_passed(reuse)
+    }
+
     /// True if answers of fresh processes differ from each other.
     pub(crate) fn is_random(&self) -> bool {
         self.processes.comparisons.is_random.load(Ordering::Relaxed)
@@ -342,7 +358,7 @@ impl Remote {
         let stats = Mutex::new(Stats::default());
         let evaluate = |process: ProcessChoice, context: &RunContext<'_>| {
             let (mut residuals, mut taken) = (vec![0.0; best.n_residuals], Stats::default());
-            let (evaluation, rule) = (Evaluation { accuracy: None, process }, CostRule::whole(loss, context));
+            let (evaluation, rule) = (Evaluation::whole(process), CostRule::whole(loss, context));
             let cost = self.evaluate(&best.x, evaluation, rule, &mut residuals, &mut taken);
             *stats.lock().unwrap_or_else(PoisonError::into_inner) += taken;
             let bits = residuals.iter().map(|residual| residual.to_bits()).collect::<Vec<u64>>();
@@ -402,8 +418,8 @@ impl Remote {
         stats: &mut Stats,
     ) -> Result<f64, CostFailure> {
         let CostRule { loss, cutoff, context } = rule;
-        let Evaluation { accuracy, process } = evaluation;
-        let job = Job::Evaluate { x: x.to_vec(), loss, cutoff, accuracy };
+        let Evaluation { accuracy, process, recording } = evaluation;
+        let job = Job::Evaluate { x: x.to_vec(), loss, cutoff, accuracy, recording };
         let n = out.len();
         let mut accept = |answer: &mut Frame| {
             let Evaluated { cost, stats } = evaluated(answer, n, cutoff)?;
@@ -413,7 +429,8 @@ impl Remote {
             Ok((cost, stats))
         };
         // A simulation that a cutoff has ended may be repeated without the cutoff.
-        let runs = if cutoff.is_finite() { self.n_experiments.saturating_mul(2) } else { self.n_experiments };
+        let n_runs = recording.map_or(self.n_experiments, |_| 1);
+        let runs = if cutoff.is_finite() { n_runs.saturating_mul(2) } else { n_runs };
         let limits = self.limits(runs, FrameSize::of_numbers(n as u64));
         let mut evaluated = self.processes.ask(&job, process, limits, &context, &mut accept);
         if process != ProcessChoice::Fresh

@@ -46,6 +46,8 @@ pub(crate) enum Job {
         cutoff: f64,
         /// Accuracy, if it differs from the accuracy of the problem.
         accuracy: Option<Accuracy>,
+        /// Index of the only recording to simulate. `None`: all, followed by the priors.
+        recording: Option<usize>,
     },
     /// Returns the compared outputs of an experiment.
     Experiment { experiment: usize, x: Vec<f64>, times: Option<Vec<f64>> },

@@ -6,6 +6,7 @@ use crate::cost::loaded_problem::LoadedProblem;
 use crate::cost::process::{Evaluation, Remote};
 use crate::cost::request::Job;
 use crate::cost::residual::CostRule;
+use crate::cost::split::Slots;
 use crate::error::CalibrationError;
 use crate::findings::finding::Severity;
 use crate::problem::assignment::Affine;
@@ -373,7 +374,7 @@ impl Calibration {
         self.check_length(x)?;
         let mut residuals = vec![0.0; self.n_residuals()];
         let rule = CostRule::whole(RobustLoss::default(), context);
-        let cost = self.evaluate_in(ProcessChoice::Compared, x, rule, &mut residuals, stats);
+        let cost = self.evaluate_in(ProcessChoice::Compared, None, x, rule, &mut residuals, stats);
         cost.map(|cost| (cost, residuals)).map_err(|no_cost| match no_cost.of_point() {
             Ok(PointFailure { message, source }) => self.failed_at(x, message, source),
             Err(error) => error,
@@ -392,12 +393,14 @@ impl Calibration {
         CalibrationError::Simulation { at, message, source }
     }
 
-    /// Evaluates a query and adds its statistics to `stats`. The work is counted in right-hand sides.
+    /// Evaluates a query and adds its statistics to `stats`. The work is counted in right-hand sides. `slots`:
+    /// workers that may simulate recordings of the point at the same time.
     pub(crate) fn evaluate_counted(
         &self,
         x: &[f64],
         query: &Query<'_>,
         loss: RobustLoss,
+        slots: Option<&Slots>,
         answer: &mut Answer,
         stats: &mut Stats,
     ) {
@@ -405,7 +408,14 @@ impl Calibration {
         let ended = || query.cancelled();
         answer.residuals.resize(self.n_residuals(), 0.0);
         let rule = CostRule { loss, cutoff: query.cutoff, context: RunContext::new().polling(&ended) };
-        answer.outcome = match self.evaluate_into(x, rule, &mut answer.residuals, stats) {
+        answer.outcome = match self.evaluate_in(
+            ProcessChoice::ComparedFirst,
+            slots,
+            x,
+            rule,
+            &mut answer.residuals,
+            stats,
+        ) {
             Ok(cost) => Outcome::Value(cost),
             Err(CostFailure::Above) => Outcome::Above(query.cutoff),
             Err(CostFailure::Cancelled) => Outcome::cancelled(),
@@ -444,7 +454,7 @@ impl Calibration {
         out: &mut [f64],
         stats: &mut Stats,
     ) -> Result<f64, CostFailure> {
-        self.evaluate_in(ProcessChoice::ComparedFirst, x, rule, out, stats)
+        self.evaluate_in(ProcessChoice::ComparedFirst, None, x, rule, out, stats)
     }
 
     /// Returns the cost like [`evaluate_into`](Self::evaluate_into). If worker processes are used, `process`
@@ -452,16 +462,46 @@ impl Calibration {
     fn evaluate_in(
         &self,
         process: ProcessChoice,
+        slots: Option<&Slots>,
         x: &[f64],
         rule: CostRule<'_>,
         out: &mut [f64],
         stats: &mut Stats,
     ) -> Result<f64, CostFailure> {
         if let Ok(remote) = &self.evaluator.remote {
-            return remote.evaluate(x, Evaluation { accuracy: None, process }, rule, out, stats);
+            return match slots {
+                Some(slots) => self.evaluator.evaluate_on(slots, remote, process, x, rule, out, stats),
+                None => remote.evaluate(x, Evaluation::whole(process), rule, out, stats),
+            };
         }
         self.evaluator.evaluate(x, rule, out, stats, |k, run| {
             Ok(self.evaluator.simulations[k].pool.with_simulator(&rule.context, run))
+        })
+    }
+
+    /// Returns the cost of a single recording; see [`LoadedProblem::evaluate_recording`].
+    pub(crate) fn evaluate_recording(
+        &self,
+        k: usize,
+        x: &[f64],
+        rule: CostRule<'_>,
+        out: &mut [f64],
+        stats: &mut Stats,
+    ) -> Result<f64, CostFailure> {
+        self.evaluator.evaluate_recording(k, x, rule, out, stats, |k, run| {
+            Ok(self.evaluator.simulations[k].pool.with_simulator(&rule.context, run))
+        })
+    }
+
+    /// Returns the number of residuals of a recording.
+    ///
+    /// # Errors
+    /// Returns an error if there is no recording with this index.
+    pub(crate) fn n_residuals_of(&self, k: usize) -> Result<usize, CalibrationError> {
+        let simulation = self.evaluator.simulations.get(k);
+        simulation.map(|simulation| simulation.comparison.n_residuals()).ok_or_else(|| {
+            let n = self.evaluator.simulations.len();
+            CalibrationError::Setup(format!("recording {k} was requested, but there are {n}"))
         })
     }
 
@@ -493,7 +533,7 @@ impl Calibration {
 
 impl Objective for Calibration {
     fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
-        self.evaluate_counted(x, query, RobustLoss::default(), answer, &mut Stats::default());
+        self.evaluate_counted(x, query, RobustLoss::default(), None, answer, &mut Stats::default());
     }
 
     fn has_residuals(&self) -> bool {

@@ -236,7 +236,7 @@ impl Calibration {
     ) -> Result<f64, CostFailure> {
         let Some(accuracy) = accuracy else { return self.evaluate_into(x, rule, out, stats) };
         if let Ok(remote) = &self.evaluator().remote {
-            let evaluation = Evaluation { accuracy: Some(accuracy), process: ProcessChoice::Any };
+            let evaluation = Evaluation { accuracy: Some(accuracy), ..Evaluation::whole(ProcessChoice::Any) };
             return remote.evaluate(x, evaluation, rule, out, stats);
         }
         self.evaluator().evaluate(x, rule, out, stats, |k, run| {

@@ -190,11 +190,19 @@ fn done(
         | Job::NewInstance(..)
         | Job::Instance(_)
         | Job::InitialValues { .. } => Ok(()),
-        Job::Evaluate { x, loss, cutoff, accuracy } => {
+        Job::Evaluate { x, loss, cutoff, accuracy, recording } => {
             calibration.check_length(&x).map_err(model_error)?;
             let (rule, mut stats) = (CostRule { loss, cutoff, context: *context }, *repeated);
-            answer.numbers.resize(calibration.n_residuals(), 0.0);
-            let cost = calibration.evaluate_with(accuracy, &x, rule, &mut answer.numbers, &mut stats);
+            let cost = match recording {
+                None => {
+                    answer.numbers.resize(calibration.n_residuals(), 0.0);
+                    calibration.evaluate_with(accuracy, &x, rule, &mut answer.numbers, &mut stats)
+                }
+                Some(k) => {
+                    answer.numbers.resize(calibration.n_residuals_of(k).map_err(model_error)?, 0.0);
+                    calibration.evaluate_recording(k, &x, rule, &mut answer.numbers, &mut stats)
+                }
+            };
             if cost.is_err() {
                 answer.numbers.clear();
             }

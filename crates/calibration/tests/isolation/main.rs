@@ -12,9 +12,10 @@ mod sandbox;
 
 use calibration::RunContext;
 use calibration::{
-    Calibration, Data, Experiment, FitOptions, Parameter, ProfileOptions, SimulationSettings, ValidationSet,
+    Calibration, Data, Experiment, FitOptions, Parameter, Prior, ProfileOptions, SimulationSettings,
+    ValidationSet,
 };
-use dfo::{Checkpoint, DifferentialEvolution, Limits, RunOptions, Termination};
+use dfo::{Checkpoint, DifferentialEvolution, LeastSquares, Limits, RunOptions, Termination};
 use fmi::worker::{Isolation, Launcher};
 use fmi::{Fmu, RunSettings};
 use std::path::{Path, PathBuf};
@@ -57,6 +58,41 @@ fn decay(fmu: Fmu, settings: SimulationSettings) -> Calibration {
 
 fn open(folder: &tempfile::TempDir) -> Fmu {
     Fmu::open(folder.path()).unwrap()
+}
+
+/// With more workers than points, the recordings of a point are simulated at the same time.
+#[test]
+fn recordings_on_several_workers_give_identical_bits_failures_and_statistics() {
+    launch();
+    let folder = faulty(&["SLOW=200", "FAULT_ABOVE=2.0", "FAULT=abort()"]);
+    let recording = |n: usize| {
+        let t: Vec<f64> = (0..=n).map(|i| 0.05 * i as f64).collect();
+        let y = t.iter().map(|t: &f64| (-1.7 * t).exp() + 0.01 * (31.0 * t).sin()).collect();
+        Experiment::new(Data::from_columns(t, [("y".to_owned(), y)]).unwrap()).output("y", "y")
+    };
+    let run = |isolation: Isolation, workers: usize, start: f64| {
+        let calibration = [20, 7, 30, 3, 12]
+            .into_iter()
+            .fold(Calibration::builder(open(&folder)), |builder, n| builder.experiment(recording(n)))
+            .parameter(
+                Parameter::new("k", start).bounds(0.1, 5.0).prior(Prior::Normal { mean: 1.5, sd: 0.2 }),
+            )
+            .settings(settings(isolation))
+            .build()
+            .unwrap();
+        let method = LeastSquares::default().serial().into();
+        calibration.fit(RunOptions { method, workers: Some(workers), ..FitOptions::default_run() }).unwrap()
+    };
+    for start in [1.0, 1.99] {
+        let alone = run(Isolation::Process, 1, start);
+        for workers in [2, 4, 9] {
+            let found = run(Isolation::Process, workers, start);
+            assert_eq!(costs(&found), costs(&alone), "{workers}");
+            assert_eq!(found.report.failures, alone.report.failures);
+            assert_eq!(found.stats.right_hand_sides, alone.stats.right_hand_sides);
+            assert_eq!(format!("{:?}", found.uncertainty), format!("{:?}", alone.uncertainty));
+        }
+    }
 }
 
 #[test]

@@ -4,6 +4,7 @@ use super::noise::NoiseRule;
 use super::options::{FitObserver, FitOptions};
 use super::simulation_executor::SimulationExecutor;
 use crate::cost::residual::sum_of_squares;
+use crate::cost::split::Slots;
 use crate::error::CalibrationError;
 use crate::findings::display_text::digits;
 use crate::findings::finding::Finding;
@@ -45,6 +46,7 @@ struct Counted<'a> {
     stats: Mutex<Stats>,
     kept: Arc<Mutex<KeptResiduals>>,
     live: Option<&'a LiveFit>,
+    slots: Slots,
 }
 
 impl Counted<'_> {
@@ -95,7 +97,8 @@ impl Objective for Counted<'_> {
         if !self.know(x, answer) {
             let _running = self.live.map(|live| live.running(query.id, x));
             let mut stats = Stats::default();
-            self.calibration.evaluate_counted(x, &self.requested(query), self.loss, answer, &mut stats);
+            let (query, slots) = (self.requested(query), Some(&self.slots));
+            self.calibration.evaluate_counted(x, &query, self.loss, slots, answer, &mut stats);
             self.count(stats);
         }
         self.finish(x, query.kind, answer);
@@ -466,6 +469,7 @@ impl Calibration {
             stats: Mutex::default(),
             kept: Arc::clone(&kept),
             live,
+            slots: Slots::new(run.workers.unwrap_or(1).max(1)),
         };
         let mut observer = job.observer.borrow_mut();
         let mut engine = job.engine.as_ref().map(|engine| engine.borrow_mut());

@@ -26,7 +26,7 @@ impl Calibration {
         stats: &mut Stats,
     ) -> Answer {
         let mut answer = Answer::default();
-        self.evaluate_counted(x, query, loss, &mut answer, stats);
+        self.evaluate_counted(x, query, loss, None, &mut answer, stats);
         answer
     }
 }

@@ -51,7 +51,7 @@ pub(super) enum NoFit {
 impl Objective for Refits<'_> {
     fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
         let mut stats = Stats::default();
-        self.calibration.evaluate_counted(x, query, self.loss, answer, &mut stats);
+        self.calibration.evaluate_counted(x, query, self.loss, None, answer, &mut stats);
         *self.stats.lock().unwrap_or_else(|e| e.into_inner()) += stats;
     }
 
