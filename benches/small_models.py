@@ -53,6 +53,13 @@ MODELS = {
                 mode = fabs(p[0] * sin(x[0])) <= p[1] ? 0 : (sin(x[0]) > 0.0 ? -1 : 1);
             }""",
     ),
+    # Two decays whose right-hand side waits 0.2 ms, like an expensive model.
+    "slow_decay": Model(
+        states={"a": 1.0, "b": 0.5},
+        parameters={"k1": 1.0, "k2": 0.3},
+        derivatives="extern int usleep(unsigned); usleep(200); dx[0] = -p[0] * x[0]; dx[1] = p[0] * x[0] - p[1] * x[1];",
+        stop=4.0,
+    ),
     # Robertson's reactions: stiff.
     "robertson": Model(
         states={"A": 1.0, "B": 0.0, "C": 0.0},
