@@ -314,7 +314,10 @@ mod tests {
             (&["31-May-2024 10:00:60"], (0, "seconds go from 0 to 59")),
             (&["10:00:60"], (0, "seconds go from 0 to 59")),
             (&["0 days 00:00:60"], (0, "seconds go from 0 to 59")),
-            (&["0 days 00:00:00", "00:00:01"], (1, "a different format from the first date, '0 days 00:00:00'")),
+            (
+                &["0 days 00:00:00", "00:00:01"],
+                (1, "a different format from the first date, '0 days 00:00:00'"),
+            ),
             (
                 &["2024-05-31", "10:00:00"],
                 (1, "'10:00:00' has a different format from the first date, '2024-05-31'"),

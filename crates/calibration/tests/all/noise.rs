@@ -625,7 +625,7 @@ fn bootstrap_continues_from_its_file_bit_for_bit() {
     let whole = BootstrapOptions { checkpoint: None, workers: Some(1), ..options(12, Some(3)) };
     let asked = AtomicUsize::new(0);
     let count = || asked.fetch_add(1, Ordering::Relaxed) == usize::MAX;
-    let whole = calibration.bootstrap(&fit, &whole, &RunContext::new().asking(&count)).unwrap();
+    let whole = calibration.bootstrap(&fit, &whole, &RunContext::new().polling(&count)).unwrap();
     // The first run ends after about half of its fits.
     let half = asked.into_inner() / 2;
     let saved = || serde_json::from_slice::<serde_json::Value>(&std::fs::read(&file).unwrap()).unwrap();
@@ -633,7 +633,7 @@ fn bootstrap_continues_from_its_file_bit_for_bit() {
     let asked = AtomicUsize::new(0);
     let is_over = || asked.fetch_add(1, Ordering::Relaxed) > half;
     let first = BootstrapOptions { workers: Some(1), ..options(12, Some(3)) };
-    let ended = calibration.bootstrap(&fit, &first, &RunContext::new().asking(&is_over));
+    let ended = calibration.bootstrap(&fit, &first, &RunContext::new().polling(&is_over));
     assert!(matches!(ended, Err(CalibrationError::Cancelled)), "{ended:?}");
     let n = n_saved();
     assert!((1..12).contains(&n), "{n}");

@@ -141,7 +141,7 @@ impl EnsembleSampler {
     pub fn tell(&mut self, log_densities: &[f64]) -> Result<(), Error> {
         let requested = self.proposals.len();
         if log_densities.len() != requested {
-            return Err(Error::TooManyOutcomes { requested: requested, received: log_densities.len() });
+            return Err(Error::TooManyOutcomes { requested, received: log_densities.len() });
         }
         for ((walker, point), log_density) in
             std::mem::take(&mut self.proposals).into_iter().zip(log_densities)

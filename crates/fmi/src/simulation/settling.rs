@@ -16,7 +16,7 @@ const MOST_STEPS: u64 = 10_000;
 
 /// Returns the driver of the approach. Radau5 damps all modes whose time constants are shorter than the step.
 pub(super) fn settling_driver(plan: &SimulationPlan) -> Result<Box<Driver>> {
-    let limits = Limits { max_steps: Some(MOST_STEPS), ..plan.options.limits.clone() };
+    let limits = Limits { max_steps: Some(MOST_STEPS), ..plan.options.limits };
     Ok(Box::new(Driver::new(Options {
         method: Method::Radau5,
         step_size: None,

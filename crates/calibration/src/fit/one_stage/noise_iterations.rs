@@ -46,7 +46,7 @@ impl FinalSearch {
         let SearchResult { report, residuals, .. } = &self.searched;
         let residuals = residuals.at(&report.x).map(<[f64]>::to_vec);
         let cost = (is_sum_of_squares && residuals.is_none()).then_some(report.fun);
-        BestPoint { x: report.x.clone(), n_residuals, residuals: residuals, cost }
+        BestPoint { x: report.x.clone(), n_residuals, residuals, cost }
     }
 }
 
