@@ -102,6 +102,16 @@ def test_interrupt_contains_partial_profile(tmp_path):
     assert np.isfinite(found.intervals["armFriction"][0]) and found.intervals["pendulumFriction"][1] == np.inf
 
 
+def test_profile_of_the_likelihood_equals_that_of_one_output():
+    calibration = decay()
+    ours, squares = (calibration.fit(objective=objective) for objective in ("likelihood", "sum-of-squares"))
+    assert ours.method == squares.method == "least-squares"
+    ours, squares = ours.profile(), squares.profile()
+    assert ours.degrees_of_freedom == squares.degrees_of_freedom
+    for name, (low, high) in ours.intervals.items():
+        np.testing.assert_allclose((low, high), squares.intervals[name], atol=1e-4 * (high - low))
+
+
 def test_mistakes_are_reported(tmp_path):
     fit = decay().fit()
     for options, expected in (

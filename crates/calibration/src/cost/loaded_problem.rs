@@ -207,9 +207,9 @@ impl LoadedProblem {
         })
     }
 
-    /// Returns the rule for a running sum. It is in the order of time, the cost in the order of the residuals.
-    /// The sums of n positive numbers in two orders differ by less than 2 n units of rounding (Higham,
-    /// Accuracy and Stability of Numerical Algorithms, 2002, section 4.2).
+    /// Returns the rule for a running sum. It is in the order of time, the cost in the order of the
+    /// residuals. The sums of n positive numbers in two orders differ by less than 2 n units of rounding
+    /// (Higham, Accuracy and Stability of Numerical Algorithms, 2002, section 4.2).
     fn running<'a>(&self, rule: CostRule<'a>) -> CostRule<'a> {
         CostRule { cutoff: rule.cutoff * (1.0 + 2.0 * self.n_residuals as f64 * f64::EPSILON), ..rule }
     }

@@ -79,8 +79,8 @@ impl Drop for HeldSlots<'_> {
 }
 
 impl LoadedProblem {
-    /// Returns the cost like [`Remote::evaluate`], with the recordings on all workers that are free. Residuals,
-    /// cost, failure and statistics are the same, because the recordings count in their order.
+    /// Returns the cost like [`Remote::evaluate`], with the recordings on all workers that are free.
+    /// Residuals, cost, failure and statistics are the same, because the recordings count in their order.
     #[allow(clippy::too_many_arguments)]
     pub(crate) fn evaluate_on(
         &self,

@@ -484,7 +484,7 @@ impl Calibration {
         let mut job = Job::new(self, options.into(), None)?;
         match stages {
             Some(stages) => self.all_checked(stages, &job).map(|_| ()),
-            None => self.choose_method(&mut job.run, &job.held, &job.objective),
+            None => self.choose_method(&mut job.run, &job.start, &job.held, &job.objective),
         }
     }
 
@@ -503,7 +503,7 @@ impl Calibration {
         let held: Vec<usize> = (0..job.start.len()).filter(|i| !freed.contains(i)).collect();
         let method = stage.method.clone().unwrap_or_else(|| job.run.method.clone());
         let mut run = RunOptions { method, ..RunOptions::default() };
-        self.choose_method(&mut run, &held, &job.objective)?;
+        self.choose_method(&mut run, &job.start, &held, &job.objective)?;
         Ok(freed)
     }
 

@@ -393,8 +393,8 @@ impl Calibration {
         CalibrationError::Simulation { at, message, source }
     }
 
-    /// Evaluates a query and adds its statistics to `stats`. The work is counted in right-hand sides. `slots`:
-    /// workers that may simulate recordings of the point at the same time.
+    /// Evaluates a query and adds its statistics to `stats`. The work is counted in right-hand sides.
+    /// `slots`: workers that may simulate recordings of the point at the same time.
     pub(crate) fn evaluate_counted(
         &self,
         x: &[f64],

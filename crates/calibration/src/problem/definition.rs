@@ -2,7 +2,8 @@
 
 use crate::data::{UnitConversion, UnitError};
 use crate::error::CalibrationError;
-use crate::problem::experiment::{Experiment, InitialState};
+use crate::problem::error_model::ErrorModel;
+use crate::problem::experiment::{Experiment, InitialState, Measured, Weight};
 use crate::problem::parameter::{Parameter, Tie};
 use crate::problem::resolution::{check_names, check_targets};
 use crate::problem::settings::SimulationSettings;
@@ -209,6 +210,7 @@ impl Problem {
                 return Err(CalibrationError::Parameter { name, message });
             }
         }
+        self.check_logarithms(true)?;
         check_targets(&self.parameters, &self.experiments, &names, description)?;
         for parameter in &self.parameters {
             if let Some(tie) = parameter.tie().filter(|tie| !tie.across_units) {
@@ -229,6 +231,34 @@ impl Problem {
         }
         warnings.extend(ignored_nominals(&self.parameters));
         Ok(warnings)
+    }
+
+    /// Rejects a variable that compares logarithms without a weight with one column and values with another.
+    /// An error model with fitted coefficients is accepted if the fit estimates the noise of both
+    /// (`is_estimated`).
+    pub(crate) fn check_logarithms(&self, is_estimated: bool) -> Result<(), CalibrationError> {
+        let names = self.experiment_names();
+        let outputs = self
+            .experiments
+            .iter()
+            .zip(&names)
+            .flat_map(|(experiment, name)| experiment.outputs.iter().map(move |output| (name, output)));
+        let (logarithms, values): (Vec<_>, Vec<_>) =
+            outputs.partition(|(_, output)| matches!(output.weight, Weight::Log(weight) if weight == 1.0));
+        for (name, output) in logarithms {
+            let is_unweighed = |(_, value): &&(&String, &Measured)| {
+                let is_fitted = value.weight.error_model().is_some_and(ErrorModel::is_fitted);
+                value.variable == output.variable && !(is_estimated && is_fitted)
+            };
+            if let Some((other, value)) = values.iter().find(is_unweighed) {
+                return Err(CalibrationError::Setup(format!(
+                    "sigma of '{}' is 'log' for column '{}' of experiment '{name}', but not for column '{}' of experiment '{other}'. The noise of the logarithms is \
+                     unknown, so they have no weight relative to the values. Use 'log' for both or for neither, or 'a + b*abs(y)' with noise 'estimated'",
+                    output.variable, output.column, value.column
+                )));
+            }
+        }
+        Ok(())
     }
 }
 

@@ -11,9 +11,9 @@ use std::sync::Arc;
 /// the inverse standard deviation of the noise, the sum of squares is twice the negative log-likelihood, up
 /// to a constant.
 ///
-/// Sums of squares, including [custom](Self::Custom) ones, provide residuals for least squares. Early
-/// stopping of a simulation and robust losses require the sum of squares of the residuals themselves. All
-/// other costs require methods that use only the cost.
+/// Sums of squares, including [custom](Self::Custom) ones, and the likelihood provide residuals for least
+/// squares. Early stopping of a simulation and robust losses require the sum of squares of the residuals
+/// themselves. All other costs require methods that use only the cost.
 #[derive(Debug, Clone, Default)]
 #[non_exhaustive]
 pub enum CostKind {
@@ -44,6 +44,18 @@ pub enum NamedCost {
     /// standard deviations (Bard, Nonlinear Parameter Estimation, 1974, chapter IV: unknown diagonal
     /// covariance). N_o excludes residuals without noise: residuals of weight zero, and the residual of the
     /// measurement that a simulation starts from. Priors add half of their squares.
+    ///
+    /// Least squares minimises it as the sum of squares `N exp(2 L / N)`, where L is the cost and N the
+    /// number of residuals with noise. Each evaluation multiplies the residuals of an output with `sqrt(G /
+    /// v_o)`. Here `v_o = r_o' r_o / N_o` is the variance of the output at this point, and G is the geometric
+    /// mean of the variances with weights N_o / N. The sum of squares is then N G. The search is one search
+    /// for the concentrated likelihood (Seber and Wild, Nonlinear Regression, 1989, section 2.2.3), with the
+    /// weights of iteratively reweighted least squares. For one output, it is the search for the plain sum of
+    /// squares. `f_tol` applies to N G. `x_tol` is reduced to a hundredth, but not below 1e-6, because these
+    /// residuals bend within the standard errors of the most precise output.
+    ///
+    /// Priors at the start whose squares exceed N require a method that uses only the cost, because their
+    /// exponential has no useful linear model.
     Likelihood,
 }
 
@@ -162,11 +174,12 @@ impl CostKind {
         if self.is_likelihood() { 0.5 * n_measurements as f64 } else { cost.abs() }
     }
 
-    /// True if the cost is a sum of squares whose residuals are available to least squares.
+    /// True if least squares can minimise the cost: for sums of squares and the
+    /// [likelihood](NamedCost::Likelihood).
     pub fn has_residuals(&self) -> bool {
         match self {
             Self::SumOfSquares => true,
-            Self::Named(_) => false,
+            Self::Named(named) => *named == NamedCost::Likelihood,
             Self::Custom(custom) => custom.gives_residuals,
         }
     }
@@ -235,33 +248,74 @@ impl NamedCost {
                 layout.outputs.iter().map(of_output).sum::<f64>() / layout.outputs.len() as f64
             }
             Self::Likelihood => {
-                let mut total = 0.5 * squares(&residuals[layout.n_measurements()..]);
-                for (k, first) in layout.outputs.iter().enumerate() {
-                    let is_same = |o: &&OutputResiduals| o.variable == first.variable;
-                    if layout.outputs[..k].iter().any(|o| is_same(&o)) {
-                        continue;
-                    }
-                    let (mut n, mut sum, mut measured) = (0, 0.0, 0.0);
-                    for output in layout.outputs.iter().filter(is_same) {
-                        n += output.noisy_rows().count();
-                        sum += squares(&residuals[output.range.clone()]);
-                        measured += output
-                            .measured
-                            .iter()
-                            .zip(&output.weights)
-                            .map(|(m, w)| (m * w) * (m * w))
-                            .sum::<f64>();
-                    }
-                    let n = f64::max(n as f64, f64::MIN_POSITIVE);
-                    // The variance of an output that is reproduced to rounding is at least the
-                    // variance of rounding. Otherwise the logarithm would be infinite.
-                    let least = (measured * f64::EPSILON * f64::EPSILON).max(f64::MIN_POSITIVE);
-                    total += 0.5 * n * (sum.max(least) / n).ln();
-                }
-                total
+                let of_priors = 0.5 * squares(&residuals[layout.n_measurements()..]);
+                let of = |noise: VariableNoise| 0.5 * noise.n * noise.variance.ln();
+                VariableNoise::all(layout, residuals).map(of).fold(of_priors, |total, own| total + own)
             }
         }
     }
+}
+
+/// Noise of a variable over its recordings.
+struct VariableNoise<'a> {
+    outputs: Vec<&'a OutputResiduals>,
+    /// Number of residuals with noise; a tiny number if there is none.
+    n: f64,
+    squares: f64,
+    /// Best variance.
+    variance: f64,
+}
+
+impl<'a> VariableNoise<'a> {
+    fn all(layout: &'a ResidualLayout, residuals: &'a [f64]) -> impl Iterator<Item = Self> + 'a {
+        let outputs = &layout.outputs;
+        let is_first = |k: &usize| outputs[..*k].iter().all(|o| o.variable != outputs[*k].variable);
+        (0..outputs.len()).filter(is_first).map(move |k| {
+            let own = outputs[k..].iter().filter(|o| o.variable == outputs[k].variable).collect();
+            Self::new(own, residuals)
+        })
+    }
+
+    fn new(outputs: Vec<&'a OutputResiduals>, residuals: &[f64]) -> Self {
+        let (mut n, mut squares, mut measured) = (0, 0.0, 0.0);
+        for output in &outputs {
+            n += output.noisy_rows().count();
+            squares += residuals[output.range.clone()].iter().map(|r| r * r).sum::<f64>();
+            let rows = output.measured.iter().zip(&output.weights);
+            measured += rows.map(|(m, w)| (m * w) * (m * w)).sum::<f64>();
+        }
+        let n = f64::max(n as f64, f64::MIN_POSITIVE);
+        // The variance of an output that is reproduced to rounding is at least the variance of rounding.
+        // Otherwise the logarithm would be infinite.
+        let least = (measured * f64::EPSILON * f64::EPSILON).max(f64::MIN_POSITIVE);
+        Self { outputs, n, squares, variance: squares.max(least) / n }
+    }
+}
+
+/// Returns residuals whose sum of squares is `N exp(2 L / N)` for the [likelihood](NamedCost::Likelihood) L
+/// and N residuals with noise.
+///
+/// A sum of squares P of the priors adds P / 2 to L. With `H = N / (N + P) exp(2 L / N)`, the residuals of an
+/// output are multiplied with `sqrt(H / v_o)`, and those of the priors with `sqrt(H)`. The sum of squares is
+/// then H (N + P).
+pub(crate) fn reweighted_by_likelihood(layout: &ResidualLayout, residuals: &[f64]) -> Vec<f64> {
+    let mut scaled = vec![0.0; residuals.len()];
+    let of_priors = layout.n_measurements()..residuals.len();
+    let squares_of_priors: f64 = residuals[of_priors.clone()].iter().map(|r| r * r).sum();
+    let noises: Vec<VariableNoise<'_>> = VariableNoise::all(layout, residuals).collect();
+    let n: f64 = noises.iter().map(|noise| noise.n).sum();
+    // A root of the factor H, whose square may overflow.
+    let logarithms: f64 = noises.iter().map(|noise| noise.n / n * noise.variance.ln()).sum();
+    let root = (0.5 * (logarithms + squares_of_priors / n)).exp() * (n / (n + squares_of_priors)).sqrt();
+    for noise in &noises {
+        // At the limit of rounding, the variance is constant and the residuals have this size.
+        let factor = root * (noise.n / noise.squares).sqrt();
+        for row in noise.outputs.iter().flat_map(|output| output.noisy_rows()) {
+            scaled[row] = if factor.is_finite() { residuals[row] * factor } else { root };
+        }
+    }
+    of_priors.for_each(|k| scaled[k] = residuals[k] * root);
+    scaled
 }
 
 impl CustomCost {
@@ -297,6 +351,7 @@ impl CustomCost {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::problem::residual_layout::PriorResidual;
 
     fn layout() -> ResidualLayout {
         let output =
@@ -341,6 +396,43 @@ mod tests {
         for layout in [of_start, of_zero] {
             assert!((NamedCost::Likelihood.cost(&layout, &r) - expected).abs() < 1e-14);
         }
+    }
+
+    #[test]
+    fn reweighted_residuals_have_the_likelihood_as_their_sum_of_squares() {
+        let prior = |parameter, index| PriorResidual {
+            parameter,
+            prior: crate::problem::prior::Prior::Normal { mean: 0.0, sd: 1.0 },
+            index,
+        };
+        let priors = vec![prior(0, 7), prior(1, 8)];
+        let (plain, with_priors) = (layout(), ResidualLayout { priors, ..layout() });
+        let r = [1.0, -2.0, 3.0, 0.0, -1.0, 2.0, 4.0, 0.5, -1.5];
+        for (layout, r) in [(&plain, &r[..7]), (&with_priors, &r[..])] {
+            let squares = |r: &[f64]| reweighted_by_likelihood(layout, r).iter().map(|r| r * r).sum::<f64>();
+            let expected = |r: &[f64]| 7.0 * (2.0 * NamedCost::Likelihood.cost(layout, r) / 7.0).exp();
+            assert!((squares(r) / expected(r) - 1.0).abs() < 1e-14);
+            // An exact output has the variance of rounding, and other directions of the residuals count.
+            for factor in [0.0, 1e-20, 1e-3, 1e150] {
+                let mut exact = r.to_vec();
+                exact[2..5].iter_mut().for_each(|r| *r *= factor);
+                let ratio = squares(&exact) / expected(&exact);
+                assert!((ratio - 1.0).abs() < 1e-12, "{factor}: {ratio}");
+            }
+        }
+        // One output keeps its residuals.
+        let one = ResidualLayout { outputs: plain.outputs[..1].to_vec(), ..ResidualLayout::default() };
+        let same = reweighted_by_likelihood(&one, &r[..2]);
+        assert!(same.iter().zip(&r).all(|(s, r)| (s - r).abs() < 1e-15), "{same:?}");
+        // The residual of a measurement that a simulation starts from does not count.
+        let mut of_start = plain.clone();
+        of_start.outputs[0].starts_simulation = true;
+        let n: f64 = reweighted_by_likelihood(&of_start, &[0.0, -2.0, 3.0, 0.0, -1.0, 2.0, 4.0])
+            .iter()
+            .map(|r| r * r)
+            .sum();
+        let cost = NamedCost::Likelihood.cost(&of_start, &[0.0, -2.0, 3.0, 0.0, -1.0, 2.0, 4.0]);
+        assert!((n / (6.0 * (cost / 3.0).exp()) - 1.0).abs() < 1e-14);
     }
 
     #[test]

@@ -275,6 +275,29 @@ fn log_normal_noise_is_fitted_as_a_regression_of_logarithms() {
     assert!((calibration.fit(likelihood).unwrap().x[0] / fit.x[0] - 1.0).abs() < 1e-4);
 }
 
+/// The noise of logarithms is unknown. They have no weight relative to values with a known sigma.
+#[test]
+fn logarithms_and_values_of_one_variable_are_rejected_together() {
+    let y = log_decay(2, [3.0, 1.0], 0.2);
+    let build = |sigmas: [&str; 2]| {
+        let builder = Calibration::builder(Fmu::open(example_fmu("dahlquist").unwrap()).unwrap());
+        let both =
+            sigmas.iter().fold(builder, |builder, sigma| builder.experiment(experiment(y.clone(), sigma)));
+        both.parameter(Parameter::new("k", 0.8).bounds(0.01, 50.0)).build()
+    };
+    for sigmas in [["log", "0.1"], ["0.1", "log"], ["log", "0.1 + 0.1*abs(y)"]] {
+        let error = build(sigmas).unwrap_err().to_string();
+        let expected = "sigma of 'x' is 'log' for column 'x' of experiment 'run";
+        assert!(error.contains(expected) && error.contains("Use 'log' for both"), "{error}");
+    }
+    assert!(build(["log", "log"]).unwrap().fit(accurate()).is_ok());
+    // A fitted error model is weighed against logarithms only if the noise of both is estimated.
+    let fitted = build(["log", "a + b*abs(y)"]).unwrap();
+    let error = fitted.fit(accurate()).unwrap_err().to_string();
+    assert!(error.contains("with noise 'estimated'"), "{error}");
+    fitted.fit(FitOptions { noise: NoiseRule::Estimated, ..accurate() }).unwrap();
+}
+
 #[test]
 fn log_normal_noise_rejects_values_that_are_not_positive() {
     let build = |y: Vec<f64>, k: Parameter| {

@@ -10,6 +10,7 @@ mod co_simulation;
 mod coverage;
 mod error_model;
 mod initial_states;
+mod likelihood;
 mod live_page;
 mod mistakes;
 mod noise;

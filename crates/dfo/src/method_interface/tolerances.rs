@@ -116,6 +116,7 @@ impl Tolerances {
             f_spread,
             f_limit,
             f_best,
+            is_of_squares: false,
             x_passed,
             f_passed,
             passed,
@@ -180,6 +181,10 @@ pub struct ToleranceTests {
     pub f_limit: f64,
     /// Best cost.
     pub f_best: f64,
+    /// True if these costs are sums of squares of residuals, and the cost of the objective is another
+    /// function of them.
+    #[serde(default)]
+    pub is_of_squares: bool,
     /// True if the x test passes.
     pub x_passed: bool,
     /// True if the f test passes.
@@ -227,7 +232,8 @@ impl fmt::Display for ToleranceTests {
                         write!(f, " (f_tol {} of {zero:.2} times the initial cost)", Number(f_tol))
                     }
                     ToleranceMeasure::Relative => {
-                        write!(f, " (f_tol {} of f_best {:.7})", Number(f_tol), Number(self.f_best))
+                        let whole = if self.is_of_squares { "the sum of squares" } else { "f_best" };
+                        write!(f, " (f_tol {} of {whole} {:.7})", Number(f_tol), Number(self.f_best))
                     }
                     ToleranceMeasure::Absolute => write!(f, " (f_tol)"),
                 }

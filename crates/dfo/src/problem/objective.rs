@@ -108,7 +108,8 @@ pub trait Objective: Sync {
         answer
     }
 
-    /// True if the cost is computed from residuals that can be requested. Default false.
+    /// True if the cost is computed from residuals that can be requested. Default false. The cost is their
+    /// sum of squares or an increasing function of it, because least squares minimises the sum of squares.
     fn has_residuals(&self) -> bool {
         false
     }

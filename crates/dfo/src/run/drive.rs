@@ -9,7 +9,7 @@ use crate::evaluation::{
     ContextPoller, CutoffUse, Evaluator, PollResult, Reached, SpeculativeEvaluations, StopCause,
 };
 use crate::method_interface::interface::{Batch, Method, MethodDetails, Status};
-use crate::method_interface::tolerances::Limits;
+use crate::method_interface::tolerances::{Limits, ToleranceTests};
 use crate::methods::BoxedMethod;
 use crate::outcome::answer::{Answer, EvaluationKind, Failure, Outcome};
 use crate::outcome::termination::{Termination, UNBOUNDED};
@@ -629,7 +629,8 @@ fn reached(method: &dyn Method, round: &CountedBatch, limits: &Limits) -> Option
 pub(crate) fn limited(method: &dyn Method, round: &CountedBatch, limit: Termination) -> Termination {
     let MethodDetails { settled, tests, .. } = method.details();
     let best = round.ledger.best.cost();
-    let tested = matches!((tests, best), (Some(tests), Some(best)) if best >= tests.f_best);
+    let is_tested = |tests: ToleranceTests, best: f64| !tests.is_of_squares && best >= tests.f_best;
+    let tested = tests.zip(best).is_some_and(|(tests, best)| is_tested(tests, best));
     if settled && tested { meaning(Termination::Converged, round) } else { limit }
 }
 

@@ -6,9 +6,9 @@ use crate::problems;
 
 use common::{probe_fails, rosenbrock, timeless};
 use dfo::{
-    Answers, AnyMethod, Batch, Bounds, Checkpoint, Error, LeastSquares, Method, MethodOptions, Minimize,
-    Objective, Outcome, Record, Report, RunContext, Setup, Space, Termination, Value, by_hand, minimize,
-    residuals,
+    Answer, Answers, AnyMethod, Batch, Bounds, Checkpoint, Error, LeastSquares, Method, MethodOptions,
+    Minimize, Objective, Outcome, Query, Record, Report, RunContext, Setup, Space, Termination, Value,
+    by_hand, minimize, residuals,
 };
 use problems::calibration::fits;
 use problems::nist::regressions;
@@ -644,5 +644,46 @@ fn tolerance_of_zero_searches_as_far_as_a_small_one() {
         let report = run.method(LeastSquares::default()).run().unwrap();
         assert!(report.fun < 1e-15, "{x_tol}: {report}");
         assert!(report.x.iter().zip([1.0, 3.0, 2.0]).all(|(x, root)| (x - root).abs() < 1e-4), "{report}");
+    }
+}
+
+/// A cost that is the logarithm of the sum of squares.
+struct LogarithmOfSquares<F>(F);
+
+impl<F: Fn(&[f64], &mut Vec<f64>) + Sync> Objective for LogarithmOfSquares<F> {
+    fn evaluate(&self, x: &[f64], _: &Query<'_>, answer: &mut Answer) {
+        (self.0)(x, &mut answer.residuals);
+        answer.outcome = Outcome::Value(answer.residuals.iter().fold(0.0, |sum, r| sum + r * r).ln());
+    }
+
+    fn has_residuals(&self) -> bool {
+        true
+    }
+}
+
+/// The search minimises the sum of squares, also in the simplex search next to a failing region. The run reports
+/// the cost.
+#[test]
+fn increasing_function_of_the_sum_of_squares_has_the_same_path() {
+    let smooth: fn(&[f64], &mut Vec<f64>) = |x, out| {
+        out.extend([10.0 * (x[1] - x[0] * x[0]), 1.0 - x[0], 0.1]);
+    };
+    let wall: fn(&[f64], &mut Vec<f64>) = |x, out| {
+        out.extend([10.0 * (x[1] - x[0] * x[0]), if x[0] > 0.9 { f64::NAN } else { 1.0 - x[0] }, 0.1]);
+    };
+    for (f, batch) in [(smooth, 1), (smooth, 6), (wall, 1)] {
+        let method = || LeastSquares::default().batch(batch);
+        let squares = minimize(residuals(f)).start(&[-1.2, 1.0]).method(method()).run().unwrap();
+        let report = minimize(LogarithmOfSquares(f)).start(&[-1.2, 1.0]).method(method()).run().unwrap();
+        assert_eq!((&report.x, report.n_evaluations), (&squares.x, squares.n_evaluations));
+        assert_eq!((report.fun, &report.termination), (squares.fun.ln(), &squares.termination));
+        let tests = [&report, &squares].map(|report| report.tests.unwrap());
+        assert_eq!((tests[0].f_best, tests[0].f_spread), (tests[1].f_best, tests[1].f_spread));
+        assert!(tests[0].is_of_squares && !tests[1].is_of_squares);
+        assert!(report.message.contains("of the sum of squares"), "{report}");
+        // A target is a value of the cost.
+        let run = minimize(LogarithmOfSquares(f)).start(&[-1.2, 1.0]).method(method()).target(-2.0).run();
+        let report = run.unwrap();
+        assert!(report.termination == Termination::Target && report.fun <= -2.0, "{report}");
     }
 }

@@ -70,7 +70,7 @@ impl Calibration {
         if job.context.is_cancelled() {
             return Err(CalibrationError::Cancelled);
         }
-        self.choose_method(&mut job.run, &job.held, &job.objective)?;
+        self.choose_method(&mut job.run, &job.start, &job.held, &job.objective)?;
         let (run, has_preflight) = (job.run.clone(), job.has_preflight);
         let mut stats = Stats::default();
         loop {

@@ -12,7 +12,7 @@ use crate::fit::one_stage::{Fit, FitNoise};
 use crate::loaded::calibration::Calibration;
 use crate::loaded::simulations_around::Simulations;
 use crate::problem::fingerprint::hash_of_bytes;
-use crate::problem::objective::CostKind;
+use crate::problem::objective::{CostKind, NamedCost};
 use crate::problem::parameter::{Parameter, inner};
 use crate::uncertainty::estimate::EvaluatedPoint;
 use crate::uncertainty::inactive_parameters::{AT, BoundSide};
@@ -73,6 +73,10 @@ impl Calibration {
     ///   times a factor. The numerator is the parameter's entry of the inverse of half the second
     ///   derivatives. The denominator is its variance in [`Uncertainty::covariance`] (Rotnitzky and Jewell,
     ///   Biometrika 77, 1990; Pace, Salvan and Sartori, Statistica Sinica 21, 2011).
+    /// - With the [likelihood](crate::NamedCost::Likelihood) L of N residuals, the cost is the sum of squares
+    ///   `N exp(2 L / N)` that the fit minimises, so the statistic is `(N - p) (exp(2 (L - L_min) / N) - 1)`,
+    ///   with the same factor. Its limit for many measurements is `2 (L - L_min)`. For one output, it is the
+    ///   statistic of the sum of squares.
     ///
     /// An interval ends where the statistic reaches the quantile of F with 1 and N - p degrees of freedom,
     /// the square of the quantile of Student's t. The degrees of freedom are those of the [variance of each
@@ -91,7 +95,7 @@ impl Calibration {
     ///
     /// - A parameter does not exist or was not fitted.
     /// - The level is not between 0 and 1.
-    /// - The fit did not minimise a sum of squares.
+    /// - The fit minimised neither a sum of squares nor the likelihood.
     /// - All residuals are zero, or the number of residuals does not exceed the number of parameters.
     /// - No optimum is found.
     /// - The file belongs to another problem, or cannot be read or written.
@@ -131,22 +135,26 @@ impl Calibration {
         let workers = options.workers.unwrap_or_else(base::available_cores);
         let size = |i: usize| self.size_of(&self.parameters()[i], fit.x[i]);
         let step = |i: usize| step_of(fit.uncertainty.as_ref(), i).unwrap_or_else(|| 0.01 * size(i));
+        let is_likelihood = fit.objective == CostKind::Named(NamedCost::Likelihood).name();
+        let loss = fit.report.loss.sparing(self.residual_layout().priors.len());
+        let criterion = if is_likelihood { Criterion::Likelihood } else { Criterion::Loss(loss) };
         let mut refits = Refits {
             calibration: self,
-            loss: fit.report.loss.sparing(self.residual_layout().priors.len()),
+            criterion,
             held: &held,
             sizes: (0..n).map(step).collect(),
             f_tol: refit::F_TOL * normal / (n_residuals as f64).max(normal),
             stats: Mutex::default(),
         };
         let noise = if fit.noise.as_ref().is_some_and(FitNoise::is_known) { " known noise" } else { "" };
-        let statistic = format!("{held:?} {estimator:?} {} {}{noise}", fit.report.loss, options.is_corrected);
+        let objective = if is_likelihood { " likelihood" } else { "" };
+        let statistic =
+            format!("{held:?} {estimator:?} {} {}{noise}{objective}", fit.report.loss, options.is_corrected);
         let saved =
             SavedSides::open(options.checkpoint.as_deref(), self.profile_hash(fit, &statistic, options), n)?;
         let mut n_simulations = 0;
         let optimum = refits.optimum(&fit.x, &mut n_simulations, context)?;
         let mut simulations = Simulations::new(self, RobustLoss::default(), workers, context)?;
-        let criterion = Criterion::Loss(fit.report.loss);
         let evaluated_point = EvaluatedPoint {
             held: held.clone(),
             f_tol: 1e-4,
@@ -164,9 +172,12 @@ impl Calibration {
         }
         let threshold = check_level(options.level, degrees_of_freedom)?.powi(2);
         refits.sizes = (0..n).map(|i| step_of(Some(&uncertainty), i).unwrap_or(refits.sizes[i])).collect();
+        // The curvature of a likelihood is that of a sum of squares with variances of 1.
+        let unit = if is_likelihood { self.n_weighted() as f64 / optimum.cost } else { 1.0 };
         let per_rise = |i: usize| -> Result<f64, CalibrationError> {
             let quantile = check_level(options.level, uncertainty.effective_degrees_of_freedom[i])?;
-            let found = curvature[i] / uncertainty.covariance[i * n + i] * threshold / (quantile * quantile);
+            let found =
+                unit * curvature[i] / uncertainty.covariance[i * n + i] * threshold / (quantile * quantile);
             // For an undetermined parameter, or one at its bound, no other scale is available.
             let is_positive = found > 0.0 && found.is_finite();
             let of_all = if uncertainty.is_noise_known() { 1.0 } else { degrees_of_freedom / optimum.cost };
@@ -217,7 +228,7 @@ impl Calibration {
             parameters,
             n_simulations,
             stats,
-            cost: optimum.cost,
+            cost: if is_likelihood { uncertainty.cost } else { optimum.cost },
             x: optimum.x,
         })
     }
@@ -241,6 +252,12 @@ impl Calibration {
         self.parameters().iter().enumerate().filter(is_held).map(|(i, _)| i).collect()
     }
 
+    /// Returns the number of measurements whose weight is not zero.
+    fn n_weighted(&self) -> usize {
+        let outputs = &self.residual_layout().outputs;
+        outputs.iter().flat_map(|output| &output.weights).filter(|weight| **weight != 0.0).count()
+    }
+
     /// Returns a hash of everything that the sides of profiles depend on, except their parameter.
     fn profile_hash(&self, fit: &Fit, statistic: &str, options: &ProfileOptions) -> String {
         let bounds: Vec<_> =
@@ -255,10 +272,10 @@ impl Calibration {
 /// Returns the indices of the parameters whose profiles are requested.
 fn profiled(fit: &Fit, held: &[usize], options: &ProfileOptions) -> Result<Vec<usize>, CalibrationError> {
     let setup = |message: String| Err(CalibrationError::Setup(message));
-    if fit.objective != CostKind::default().name() {
+    if !CostKind::of_name(&fit.objective).is_some_and(|objective| objective.has_uncertainty()) {
         let what = &fit.objective;
         return setup(format!(
-            "a profile likelihood requires a sum of squares, but the fit minimised another cost ({what})"
+            "a profile likelihood requires a sum of squares or the likelihood, but the fit minimised another cost ({what})"
         ));
     }
     let (n, is_free) = (fit.x.len(), |i: &usize| !held.contains(i));

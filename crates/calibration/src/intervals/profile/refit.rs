@@ -2,7 +2,9 @@
 
 use crate::error::CalibrationError;
 use crate::loaded::calibration::Calibration;
+use crate::problem::objective::reweighted_by_likelihood;
 use crate::problem::parameter::{Parameter, Scale};
+use crate::uncertainty::scores::Criterion;
 use base::RunContext;
 use dfo::{
     Answer, ByRef, LeastSquares, Limits, Objective, ParameterKind, Query, RobustLoss, RunOptions,
@@ -25,8 +27,8 @@ const EVALUATIONS: usize = 60;
 /// Refits of a calibration.
 pub(super) struct Refits<'a> {
     pub(super) calibration: &'a Calibration,
-    /// Loss function, which maps a residual to its contribution to the cost.
-    pub(super) loss: RobustLoss,
+    /// Cost as a function of the residuals. The likelihood is minimised as a sum of squares.
+    pub(super) criterion: Criterion,
     /// Parameters that are always fixed.
     pub(super) held: &'a [usize],
     /// Typical steps in the coordinates of the search: standard errors, if they are known.
@@ -36,7 +38,7 @@ pub(super) struct Refits<'a> {
     pub(super) stats: Mutex<Stats>,
 }
 
-/// Best values of a refit, and their cost.
+/// Best values of a refit, and their sum of squares.
 pub(super) struct Refitted {
     pub(super) x: Vec<f64>,
     pub(super) cost: f64,
@@ -51,7 +53,12 @@ pub(super) enum NoFit {
 impl Objective for Refits<'_> {
     fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
         let mut stats = Stats::default();
-        self.calibration.evaluate_counted(x, query, self.loss, None, answer, &mut stats);
+        self.calibration.evaluate_counted(x, query, self.residual_loss(), None, answer, &mut stats);
+        if self.criterion == Criterion::Likelihood && answer.outcome.value().is_some() {
+            let layout = self.calibration.residual_layout();
+            answer.residuals = reweighted_by_likelihood(layout, &answer.residuals);
+            answer.outcome = RobustLoss::default().cost(&mut answer.residuals, f64::INFINITY);
+        }
         *self.stats.lock().unwrap_or_else(|e| e.into_inner()) += stats;
     }
 
@@ -60,7 +67,10 @@ impl Objective for Refits<'_> {
     }
 
     fn residual_loss(&self) -> RobustLoss {
-        self.loss
+        match self.criterion {
+            Criterion::Loss(loss) => loss,
+            Criterion::Likelihood => RobustLoss::default(),
+        }
     }
 }
 

@@ -63,6 +63,9 @@ impl StepPlan {
 /// test uses the sum of this step and the possible error of the model if the sum is smaller. The f test
 /// measures the decrease predicted by the model.
 ///
+/// The method minimises the sum of squares of the residuals. If the cost of the objective is another
+/// increasing function of this sum, the f test still measures the sum; the run reports the cost.
+///
 /// ```
 /// use dfo::{LeastSquares, minimize, residuals};
 ///

@@ -16,6 +16,8 @@ pub(super) struct Evaluated {
     pub(super) z: Vec<f64>,
     /// Values in the user's units.
     pub(super) x: Vec<f64>,
+    /// Sum of the squares of the residuals. The cost of the objective may be another increasing function of
+    /// it.
     pub(super) cost: f64,
     #[serde(with = "numbers")]
     pub(super) residuals: Vec<f64>,
@@ -50,6 +52,13 @@ pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
 /// `y += share x`.
 pub(super) fn axpy(share: f64, x: &[f64], y: &mut [f64]) {
     y.iter_mut().zip(x).for_each(|(y, x)| *y += share * x);
+}
+
+/// Returns the sum of squares, added from the first to the last, as [`RobustLoss::cost`] adds them.
+///
+/// [`RobustLoss::cost`]: crate::RobustLoss::cost
+pub(super) fn sum_of_squares(residuals: &[f64]) -> f64 {
+    residuals.iter().fold(0.0, |sum, r| sum + r * r)
 }
 
 pub(super) fn distance(a: &[f64], b: &[f64]) -> f64 {

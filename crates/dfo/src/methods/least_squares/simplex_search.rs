@@ -1,12 +1,12 @@
 //! The simplex search that continues if points fail around the best one.
 
-use super::points::{Evaluated, distance};
+use super::points::{Evaluated, distance, sum_of_squares};
 use super::state::{LeastSquaresState, Phase, simplex_method};
 use crate::error::Error;
 use crate::method_interface::interface::{Method, Status};
 use crate::method_interface::tolerances::{TestedSet, ToleranceTests};
 use crate::methods::nelder_mead::SimplexSearch;
-use crate::outcome::answer::Answers;
+use crate::outcome::answer::{Answers, Outcome};
 use crate::outcome::termination::Termination;
 
 /// Relative excess over the best cost above which the result of a simplex search counts as unsuccessful.
@@ -45,7 +45,8 @@ impl LeastSquaresState {
         let Phase::Simplex(simplex) = &self.phase else { return false };
         let x0 = self.setup.space.x0().to_vec();
         let found = simplex.state.best().map_or(f64::INFINITY, |(_, cost)| cost);
-        if simplex.start == x0 || self.best_seen.get().is_none_or(|(_, best)| found <= (1.0 + WORSE) * best) {
+        let best = self.best_of(0..self.points.len()).map(|k| self.points[k].cost);
+        if simplex.start == x0 || best.is_none_or(|best| found <= (1.0 + WORSE) * best) {
             return false;
         }
         self.n_iterations += simplex.state.details().n_iterations;
@@ -56,19 +57,23 @@ impl LeastSquaresState {
         true
     }
 
-    /// Processes the answers to the points of the simplex search. These points also contribute to the model
-    /// of the result.
+    /// Processes the answers to the points of the simplex search, which also minimises the sum of squares.
+    /// These points also contribute to the model of the result.
     pub(super) fn tell_simplex(&mut self, answers: &Answers) -> Result<(), Error> {
         let Phase::Simplex(simplex) = &mut self.phase else { return Ok(()) };
-        simplex.state.tell(answers)?;
+        let mut squares = Answers::default();
+        for (k, outcome) in answers.outcomes().iter().enumerate() {
+            let sum = outcome.value().and(answers.residuals(k)).map(sum_of_squares);
+            squares.push(sum.map_or_else(|| outcome.clone(), Outcome::Value), &[]);
+        }
+        simplex.state.tell(&squares)?;
         let status = simplex.state.status();
         for (k, x) in std::mem::take(&mut self.simplex_points).into_iter().enumerate().take(answers.len()) {
             if let Some((cost, residuals)) = answers.outcomes()[k].value().zip(answers.residuals(k)) {
-                self.best_seen.offer(&x, cost);
                 let mut z = vec![0.0; self.n()];
                 self.setup.space.to_working(&x, &mut z);
                 z.iter_mut().enumerate().for_each(|(k, z)| *z = self.scaled(k, *z));
-                self.points.push(Evaluated { z, x, cost, residuals: residuals.to_vec() });
+                self.keep(z, x, cost, residuals.to_vec());
             }
         }
         if let Some(best) = self.best_of(0..self.points.len()) {
@@ -88,7 +93,8 @@ impl LeastSquaresState {
     fn end(&mut self, mut termination: Termination) {
         if let Phase::Simplex(simplex) = &self.phase {
             let details = simplex.state.details();
-            self.tests = details.tests;
+            let is_of_squares = self.has_other_cost;
+            self.tests = details.tests.map(|tests| ToleranceTests { is_of_squares, ..tests });
             self.operation = details.operation;
             self.n_iterations += details.n_iterations;
         }

@@ -4,7 +4,7 @@
 
 use super::interpolation::Interpolation;
 use super::options::{LeastSquares, StepPlan};
-use super::points::{Evaluated, distance};
+use super::points::{Evaluated, distance, sum_of_squares};
 use crate::error::Error;
 use crate::method_interface::interface::{
     Batch, Lookahead, Method, MethodDetails, Operation, Setup, Status, saved,
@@ -34,6 +34,10 @@ const LARGE: usize = 500;
 
 /// Maximum number of stored failed points.
 const MOST_FAILED: usize = 64;
+
+/// Relative difference above which the cost of an objective is not the sum of squares. Sums of up to 1e6
+/// squares in different orders differ by less.
+const ROUNDING: f64 = 1e-9;
 
 /// Phase of the search.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -214,8 +218,11 @@ pub struct LeastSquaresState {
     pub(super) tests: Option<ToleranceTests>,
     /// Number of searches for unknown parameter sizes so far.
     n_resized: u32,
-    /// Cost of the start.
+    /// Sum of squares at the start.
     pub(super) f_0: f64,
+    /// True if the cost is not the sum of squares of the residuals, but another increasing function of it.
+    #[serde(default)]
+    pub(super) has_other_cost: bool,
     /// Misfit of the model at the last failed step, and the size of the step and the set.
     pub(super) failure: Option<(f64, f64)>,
     /// The last points that failed.
@@ -265,6 +272,7 @@ impl LeastSquaresState {
             tests: None,
             n_resized: 0,
             f_0: 0.0,
+            has_other_cost: false,
             failure: None,
             failed: Vec::new(),
             n_failed: 0,
@@ -405,7 +413,7 @@ impl LeastSquaresState {
     /// Applies the tolerance tests to a distance in units of the parameter sizes and a decrease.
     pub(super) fn judge(&self, distance: f64, decrease: f64, f: f64) -> ToleranceTests {
         let tests = self.setup.tolerances.judge(distance * self.x_unit(), Some(decrease), f, self.f_0);
-        ToleranceTests { extent: TestedSet::Model, ..tests }
+        ToleranceTests { extent: TestedSet::Model, is_of_squares: self.has_other_cost, ..tests }
     }
 
     /// Returns the lower and upper bounds on a step from a point along each coordinate.
@@ -417,7 +425,7 @@ impl LeastSquaresState {
         z.iter().enumerate().map(ends).unzip()
     }
 
-    /// Returns the point with the smallest cost, the oldest if costs are equal.
+    /// Returns the point with the smallest sum of squares, the oldest if they are equal.
     pub(super) fn best_of(&self, points: impl Iterator<Item = usize>) -> Option<usize> {
         points.min_by(|a, b| self.points[*a].cost.total_cmp(&self.points[*b].cost).then(a.cmp(b)))
     }
@@ -439,9 +447,8 @@ impl LeastSquaresState {
         }
         let status = match (answer, role) {
             (Some((cost, residuals)), _) => {
-                self.best_seen.offer(x, cost);
                 let (z, x) = (z.clone(), x.clone());
-                self.points.push(Evaluated { z, x, cost, residuals });
+                self.keep(z, x, cost, residuals);
                 PointStatus::Point(self.points.len() - 1)
             }
             (None, Role::Start(Some(coordinate))) if *retries < MOST_RETRIES && !self.points.is_empty() => {
@@ -453,6 +460,14 @@ impl LeastSquaresState {
             (None, _) => PointStatus::Failed,
         };
         self.round[place].status = status;
+    }
+
+    /// Stores a point with its cost and residuals.
+    pub(super) fn keep(&mut self, z: Vec<f64>, x: Vec<f64>, cost: f64, residuals: Vec<f64>) {
+        self.best_seen.offer(&x, cost);
+        let squares = sum_of_squares(&residuals);
+        self.has_other_cost |= (cost - squares).abs() > ROUNDING * squares;
+        self.points.push(Evaluated { z, x, cost: squares, residuals });
     }
 
     /// Processes a round after all its points are known.
@@ -640,7 +655,8 @@ impl Method for LeastSquaresState {
             let outcome = &answers.outcomes()[k];
             if outcome.is_conclusive() {
                 let cost = outcome.value();
-                self.take(self.requested[k], cost.zip(answers.take_residuals(k)));
+                let value = cost.zip(answers.take_residuals(k));
+                self.take(self.requested[k], value.filter(|(_, r)| sum_of_squares(r).is_finite()));
             }
         }
         self.requested.clear();
@@ -671,7 +687,12 @@ impl Method for LeastSquaresState {
             ..MethodDetails::default()
         };
         match &self.phase {
-            Phase::Simplex(simplex) => MethodDetails { simplex: None, ..simplex.details(details) },
+            Phase::Simplex(simplex) => {
+                let details = simplex.details(details);
+                let is_of_squares = self.has_other_cost;
+                let tests = details.tests.map(|tests| ToleranceTests { is_of_squares, ..tests });
+                MethodDetails { simplex: None, tests, ..details }
+            }
             _ => details,
         }
     }

@@ -349,7 +349,7 @@ class Calibration(Evaluation):
             known noise if the weights are 1/sigma, the inverse standard deviation of the noise. "mae": mean absolute
             error. "rmse": root mean squared error. "nrmse": mean over the outputs of the RMSE divided by the range of
             the measurements. "likelihood": likelihood with an unknown standard deviation of the noise for each
-            output, ``sum N_o / 2 ln(r_o' r_o / N_o)``.
+            output, ``sum N_o / 2 ln(r_o' r_o / N_o)``. Least squares minimises the sums of squares and the likelihood.
 
             A callable receives (measured, simulated), which are dicts of arrays by output. With several experiments,
             they are dicts of such dicts by experiment name. It returns a cost, or a vector of residuals whose sum of
@@ -357,7 +357,7 @@ class Calibration(Evaluation):
             fit. An exception ends the fit. The callable is not part of the calibration, so the calibration can be
             pickled in any case.
 
-            Only the sum of squares supports standard errors and robust losses. If there are no residuals, method
+            Standard errors require the sum of squares or the likelihood, and robust losses the sum of squares. If there are no residuals, method
             "auto" is "quadratic-model", which switches to Nelder-Mead if it detects noise or kinks.
         covariance : {"sandwich", "pooled"} or None
             Estimator of the standard errors of the fit, see `uncertainty`. They are computed after the search from

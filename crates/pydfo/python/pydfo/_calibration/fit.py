@@ -519,7 +519,9 @@ class Fit(OptimizeResult):
         data do not bound a parameter. The cost is the cost of the fit, with its weights and loss. Its rise is scaled
         with the standard errors of `uncertainty`, so for a linear model the intervals equal
         `confidence_intervals`. The threshold is the quantile of F with 1 and N - p degrees of freedom (Bates and
-        Watts, Nonlinear Regression Analysis and Its Applications, 1988, section 6.1).
+        Watts, Nonlinear Regression Analysis and Its Applications, 1988, section 6.1). With the likelihood L of N
+        residuals, the statistic is ``(N - p) (exp(2 (L - L_min) / N) - 1)``. It equals that of the sum of squares for
+        one output, and ``2 (L - L_min)`` for many measurements.
 
         Parameters
         ----------
@@ -548,8 +550,8 @@ class Fit(OptimizeResult):
         Interrupted
             Ctrl-C was pressed; ``result`` contains the profile so far.
         ValueError
-            The objective of the fit is not a sum of squares, or its residuals are all zero. Also if a parameter was
-            not fitted, the level is not between 0 and 1, or the file belongs to another problem.
+            The objective of the fit is neither a sum of squares nor the likelihood, or its residuals are all zero.
+            Also if a parameter was not fitted, the level is not between 0 and 1, or the file belongs to another problem.
         OSError
             The file cannot be read or written.
         """
