@@ -11,7 +11,7 @@
 #[path = "../tests/problems/mod.rs"]
 mod problems;
 
-use dfo::{AnyMethod, NelderMead, QuadraticModel, Report, Search, minimize};
+use dfo::{AnyMethod, CmaEs, NelderMead, PatternSearch, QuadraticModel, Report, Search, minimize};
 use problems::boxes::{BOUNDED, bounded_box, boxes};
 use problems::calibration::fits;
 use problems::nist::regressions;
@@ -119,6 +119,21 @@ fn sets(seed: u64) -> Vec<Set> {
     }
     let wavy = |p: Instance| smooth(p).seen(move |x| p.cost(x) * (1.0 + 1e-3 * wiggle(x)));
     add("noisy: deterministic 1e-3", each(&wavy), 100, [1e-1, 1e-3, 1e-5]);
+    let range = |p: &Instance| p.cost(&p.start()) - p.best;
+    for (title, level) in [("noisy: 10 % of the range", 0.1), ("noisy: 1 % of the range", 0.01)] {
+        let noisy = |p: Instance| {
+            let size = 3f64.sqrt() * level * range(&p);
+            smooth(p).seen(move |x| p.cost(x) + size * noise(x, seed, 0))
+        };
+        add(title, each(&noisy), 100, [1e-1, 1e-2, 1e-3]);
+    }
+    for (title, level) in [("steps: 1 % of the range", 0.01), ("steps: 0.1 % of the range", 1e-3)] {
+        let rounded = |p: Instance| {
+            let step = level * range(&p);
+            smooth(p).seen(move |x| (p.cost(x) / step).round() * step)
+        };
+        add(title, each(&rounded), 100, [1e-1, 1e-2, 1e-3]);
+    }
     let kinked = |p: Instance| {
         let clipped = [8, 9, 13, 16, 17, 18].contains(&p.number);
         Problem::new(name(&p), p.start(), f64::INFINITY, move |x: &[f64]| {
@@ -204,10 +219,15 @@ fn sets(seed: u64) -> Vec<Set> {
     all
 }
 
-fn methods() -> [(&'static str, AnyMethod); 3] {
+/// Index of `auto`, after the single methods.
+const AUTO: usize = 4;
+
+fn methods() -> [(&'static str, AnyMethod); AUTO + 1] {
     [
         ("nelder-mead", NelderMead::default().into()),
         ("quadratic-model", QuadraticModel::default().into()),
+        ("cma-es", CmaEs::default().into()),
+        ("pattern-search", PatternSearch::default().into()),
         ("auto", AnyMethod::auto(Search::Local)),
     ]
 }
@@ -292,7 +312,7 @@ fn main() {
                 let solved = |m: usize| {
                     100.0 * units[m][t].iter().filter(|u| u.is_finite()).count() as f64 / best.len() as f64
                 };
-                let ratio = of(which) / of(0).min(of(1));
+                let ratio = of(which) / (0..AUTO).map(of).fold(f64::INFINITY, f64::min);
                 line += &format!(" | {tau:5.0e} {:4.0} % {:6.1} ratio {ratio:4.2}", solved(which), of(which));
             }
             let ends: Vec<f64> =
@@ -307,13 +327,13 @@ fn main() {
         if has("each") {
             for (k, p) in set.problems.iter().enumerate() {
                 let cells: Vec<String> =
-                    units.iter().map(|u| format!("{:6.1} {:6.1}", u[1][k], u[2][k])).collect();
+                    units.iter().map(|u| format!("{:6.1} {:6.1}", u[1][k], u[AUTO][k])).collect();
                 println!(
                     "  {:24} n {:2} {} {}",
                     p.name,
                     p.start.len(),
                     cells.join(" | "),
-                    runs[2][k].0.message
+                    runs[AUTO][k].0.message
                 );
             }
         }

@@ -18,9 +18,9 @@
 //! | `quadratic-model` | smooth costs, with or without bounds; fewest evaluations | [`QuadraticModel`] |
 //! | `barrier` | smooth costs with at least one bound; points stay strictly inside the bounds | [`Barrier`] |
 //! | `de` (`differential-evolution`), `de-classic` | many minima in a box; integers | [`DifferentialEvolution`] |
-//! | `cma-es` | badly scaled and rotated valleys, noise; with restarts, many minima in a box | [`CmaEs`] |
+//! | `cma-es` | badly scaled and rotated valleys, noise, steps; with restarts, many minima in a box | [`CmaEs`] |
 //! | `multistart` | many minima in a box, by least squares or Nelder-Mead from several starts; reports all minima found | [`Multistart`] |
-//! | `pattern-search` | costs with kinks and jumps; few parameters, with or without bounds | [`PatternSearch`] |
+//! | `pattern-search` | costs with kinks, such as largest errors; few parameters, with or without bounds | [`PatternSearch`] |
 //! | `ga` (`genetic`) | integer and categorical parameters combined with continuous ones, in a box | [`Genetic`] |
 //!
 //! [`EnsembleSampler`] samples a probability density.

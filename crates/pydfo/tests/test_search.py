@@ -37,7 +37,7 @@ def test_automatic_method_depends_on_the_problem():
     def chosen(function=pydfo.minimize, fun=lambda x: float(x @ x), **given):
         return function(fun, [1.0, 2.0], max_evaluations=20, **given)
 
-    assert chosen().method == "quadratic-model" and "Nelder-Mead if it has noise or kinks" in chosen().method_reason
+    assert chosen().method == "quadratic-model" and "Nelder-Mead if it has kinks" in chosen().method_reason
     assert chosen(method="nelder-mead").method_reason is None
     assert chosen(options={"kinds": "integer"}, bounds=BOX).method == "de"
     assert chosen(options={"coefficients": "standard"}).method == "nelder-mead"

@@ -576,8 +576,9 @@ pub struct MethodDetails<'a> {
     pub seed: Option<u64>,
     /// Evidence of noise or kinks in the model of the cost, for methods that have one.
     pub roughness: Option<Roughness>,
-    /// Number of points after which another method took over because of this evidence.
-    pub handed_over: Option<u64>,
+    /// Number of points after which another method took over because of this evidence, and the name of this
+    /// method.
+    pub handed_over: Option<(u64, &'static str)>,
     /// Indices of parameters that started at zero and have unknown size, because no step of them has changed
     /// the cost.
     pub without_effect: Vec<usize>,

@@ -385,10 +385,10 @@ impl AnyMethod {
     ///
     /// - Problems with residuals use [`LeastSquares`]. It needs a tenth of the evaluations of methods that
     ///   use only the cost.
-    /// - Costs of at most 60 parameters use [`QuadraticModel`], which hands over to [`NelderMead`] if its
-    ///   model shows noise or kinks ([`QuadraticModel::hand_over`](field@QuadraticModel::hand_over)). It
-    ///   needs at most half of the evaluations of Nelder-Mead for smooth costs, and as many for others
-    ///   (`benches/choice.rs`).
+    /// - Costs of at most 60 parameters use [`QuadraticModel`]. If its model shows kinks or weak noise, it
+    ///   hands over to [`NelderMead`], and for strong noise or steps to [`CmaEs`]
+    ///   ([`QuadraticModel::hand_over`](field@QuadraticModel::hand_over)). It needs at most half of the
+    ///   evaluations of Nelder-Mead for smooth costs, and as many for others (`benches/choice.rs`).
     /// - Searches for the best minimum in a box use [`Multistart`].
     /// - Problems with integer parameters use [`DifferentialEvolution`], and problems with categorical
     ///   parameters use [`Genetic`].
@@ -431,7 +431,7 @@ impl AnyMethod {
             (Search::Local, _, false) => chosen(
                 QuadraticModel::default().hand_over(true).into(),
                 "the objective returns a cost without residuals: a quadratic model while the cost is smooth, \
-                 Nelder-Mead if it has noise or kinks",
+                 Nelder-Mead if it has kinks, CMA-ES if it has strong noise or steps",
             ),
         }
     }

@@ -387,8 +387,8 @@ fn message(
         }
     };
     let message = match (details.roughness, details.handed_over) {
-        (Some(roughness), Some(points)) => {
-            format!("{ended}; switched to nelder-mead after {points} evaluations, because {roughness}")
+        (Some(roughness), Some((points, method))) => {
+            format!("{ended}; switched to {method} after {points} evaluations, because {roughness}")
         }
         (Some(roughness), None) if !termination.is_success() => format!("{ended}; {roughness}"),
         _ => ended,

@@ -1,4 +1,5 @@
-//! Method `auto` for costs: quadratic models if the cost is smooth, Nelder-Mead if it has kinks or noise.
+//! Method `auto` for costs: quadratic models if the cost is smooth, Nelder-Mead if it has kinks, CMA-ES if it
+//! has strong noise or steps.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::common;
@@ -6,8 +7,8 @@ use crate::problems;
 
 use common::{rosenbrock, timeless};
 use dfo::{
-    AnyMethod, Checkpoint, Minimize, NelderMead, Outcome, QuadraticModel, Query, Report, Resume, Search,
-    Termination, minimize, with_query,
+    AnyMethod, Checkpoint, CmaEs, Minimize, NelderMead, Outcome, PatternSearch, QuadraticModel, Query,
+    Report, Resume, Search, Termination, minimize, with_query,
 };
 use problems::{instances, residuals};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -28,7 +29,7 @@ fn auto_follows_quadratic_model_on_smooth_costs() {
     let (auto_run, model) = (run(auto()), run(QuadraticModel::default().into()));
     assert_eq!(timeless(&auto_run.trace), timeless(&model.trace));
     assert!(auto_run.is_success() && auto_run.method == "quadratic-model", "{auto_run}");
-    assert!(auto_run.method_reason.unwrap().contains("Nelder-Mead if it has noise or kinks"));
+    assert!(auto_run.method_reason.unwrap().contains("Nelder-Mead if it has kinks"));
     assert!(!auto_run.message.contains("switched to"), "{}", auto_run.message);
 }
 
@@ -106,14 +107,62 @@ fn auto_matches_nelder_mead_on_kinks() {
     assert!(n_auto + 2 >= simplex && median <= 1.2 * other, "{n_auto} {median} {simplex} {other}");
 }
 
+/// A number in (-1, 1) that depends on all bits of the point (Steele, Lea and Flood, OOPSLA 2014: SplitMix64).
+fn noise(x: &[f64]) -> f64 {
+    let mixed = |mut z: u64| {
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    };
+    let bits = x.iter().fold(1, |h, v| mixed(h ^ v.to_bits()).wrapping_add(0x9e37_79b9_7f4a_7c15));
+    (mixed(bits) >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+}
+
+/// The problems of Moré and Wild with noise of 10 % of the range of the cost, or rounded to steps of 1 % of
+/// it. A problem is solved if the cost without noise at the result is within a tenth of the range, or two
+/// steps, of the minimum.
+#[test]
+fn auto_solves_nearly_as_many_problems_as_cma_es_with_strong_noise_or_steps() {
+    for (level, is_noise, tau) in [(0.1, true, 0.1), (0.01, false, 0.02)] {
+        let solved = |method: AnyMethod| {
+            let is_solved = |p: &problems::Instance| {
+                let range = p.cost(&p.start()) - p.best;
+                let seen = |x: &[f64]| match is_noise {
+                    true => p.cost(x) + 3f64.sqrt() * level * range * noise(x),
+                    false => (p.cost(x) / (level * range)).round() * level * range,
+                };
+                let run = minimize(seen).start(&p.start()).method(method.clone()).seed(1);
+                let report = run.x_tol(0.0).f_tol(0.0).max_evaluations(100 * (p.n + 1)).run().unwrap();
+                p.cost(&report.x) <= p.best + tau * range
+            };
+            instances().iter().filter(|p| is_solved(p)).count()
+        };
+        let own = solved(auto());
+        let [simplex, polls, population] =
+            [NelderMead::default().into(), PatternSearch::default().into(), CmaEs::default().into()]
+                .map(solved);
+        println!(
+            "level {level}: auto {own}, nelder-mead {simplex}, pattern-search {polls}, cma-es {population}"
+        );
+        assert!(
+            own >= simplex.max(polls) + 5 && own + 5 >= population,
+            "{own} {simplex} {polls} {population}"
+        );
+    }
+}
+
+fn noisy(x: &[f64]) -> f64 {
+    x.iter().map(|x| (x - 1.0).powi(2)).sum::<f64>() + noise(x)
+}
+
 /// A run that is aborted after `limit` evaluations.
-fn set_up(limit: usize) -> Minimize<'static, AnyMethod> {
+fn set_up(cost: fn(&[f64]) -> f64, limit: usize) -> Minimize<'static, AnyMethod> {
     let calls = AtomicUsize::new(0);
     let cost = move |x: &[f64], _: &Query<'_>| match calls.fetch_add(1, Ordering::Relaxed) {
         k if k >= limit => Outcome::Abort("stopped".to_owned()),
-        _ => Outcome::Value(kinked(x)),
+        _ => Outcome::Value(cost(x)),
     };
-    minimize(with_query(cost)).start(&[-1.0, 2.0]).method(auto()).max_evaluations(150)
+    minimize(with_query(cost)).start(&[-1.0, 2.0]).method(auto()).seed(5).max_evaluations(150)
 }
 
 fn same(a: &Report, b: &Report) {
@@ -123,18 +172,21 @@ fn same(a: &Report, b: &Report) {
 
 #[test]
 fn result_is_independent_of_workers_and_interruptions() {
-    let whole = set_up(usize::MAX).run().unwrap();
-    assert!(whole.message.contains("switched to"), "{}", whole.message);
-    for workers in [2, 5] {
-        same(&set_up(usize::MAX).workers(workers).run().unwrap(), &whole);
-    }
-    let folder = tempfile::tempdir().unwrap();
-    for limit in (1..150).step_by(7) {
-        let file = folder.path().join(format!("{limit}"));
-        let checkpoint = || Checkpoint::new(&file).interval(Duration::ZERO);
-        let stopped = set_up(limit).checkpoint(checkpoint()).run().unwrap();
-        assert_eq!(stopped.termination, Termination::Aborted("stopped".to_owned()));
-        let run = set_up(usize::MAX).checkpoint(checkpoint().resume(Resume::Require)).run().unwrap();
-        same(&run, &whole);
+    for (cost, second) in [(kinked as fn(&[f64]) -> f64, "nelder-mead"), (noisy, "cma-es")] {
+        let whole = set_up(cost, usize::MAX).run().unwrap();
+        assert!(whole.message.contains(&format!("switched to {second} after ")), "{}", whole.message);
+        for workers in [2, 5] {
+            same(&set_up(cost, usize::MAX).workers(workers).run().unwrap(), &whole);
+        }
+        let folder = tempfile::tempdir().unwrap();
+        for limit in (1..150).step_by(7) {
+            let file = folder.path().join(format!("{limit}"));
+            let checkpoint = || Checkpoint::new(&file).interval(Duration::ZERO);
+            let stopped = set_up(cost, limit).checkpoint(checkpoint()).run().unwrap();
+            assert_eq!(stopped.termination, Termination::Aborted("stopped".to_owned()));
+            let run =
+                set_up(cost, usize::MAX).checkpoint(checkpoint().resume(Resume::Require)).run().unwrap();
+            same(&run, &whole);
+        }
     }
 }

@@ -36,6 +36,7 @@
 //! **Cutoffs**: none, because every rank counts.
 
 mod boundary;
+mod continuation;
 mod distribution;
 mod options;
 mod restarts;
@@ -51,6 +52,7 @@ use crate::methods::shared::generations::Generations;
 use crate::methods::shared::with_sizes::{NeedsSizes, WithSizes};
 use crate::problem::memory;
 use crate::problem::option_texts;
+pub(crate) use continuation::PopulationSearch;
 pub(crate) use state::CmaRules;
 
 /// A running CMA-ES search, created by [`CmaEs`].

@@ -50,7 +50,7 @@ impl SimplexSearch {
             operation: of_simplex.operation.or(before.operation),
             tests: of_simplex.tests.or(before.tests),
             roughness: before.roughness,
-            handed_over: before.roughness.map(|_| self.n_points),
+            handed_over: before.roughness.map(|_| (self.n_points, self.state.name())),
             ..of_simplex
         }
     }

@@ -1,10 +1,12 @@
 //! Pattern search: a mesh adaptive direct search that polls along orthogonal directions (Audet and Dennis,
 //! SIAM J. Optim. 17, 2006; Abramson, Audet, Dennis and Le Digabel, SIAM J. Optim. 20, 2009: OrthoMADS).
 //!
-//! The method is intended for costs with kinks, steps or failures, and few parameters. It is inefficient for
+//! The method is intended for costs with kinks or failures, and few parameters. It is inefficient for
 //! smooth costs, because its directions do not use the curvature. In a narrow valley, it needs several times
 //! the evaluations of [`QuadraticModel`](crate::QuadraticModel). Within 100 (n + 1) evaluations, it solves 57
-//! % of the 53 smooth problems of Moré and Wild. Quadratic models solve 92 % (`benches/dfo`).
+//! % of the 53 smooth problems of Moré and Wild. Quadratic models solve 92 % (`benches/dfo`). Noise and steps
+//! of the cost stop it early, because its polls compare single costs. [`CmaEs`](crate::CmaEs) then solves
+//! more problems (`benches/choice.rs`).
 //!
 //! A poll evaluates the `2 n` points of a frame around the best point, in both directions along `n`
 //! orthogonal axes. The points are rounded to a mesh that becomes finer than the frame as the frame shrinks.

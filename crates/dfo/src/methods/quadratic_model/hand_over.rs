@@ -1,9 +1,10 @@
-//! Detection of noise and kinks in the model, and the hand-over to a simplex search.
+//! Detection of noise and kinks in the model, and the hand-over to a simplex search or to CMA-ES.
 
 use super::inverse::median;
 use super::iteration::{FAR, MOST_REFUSED, norm};
 use super::state::{ModelSearch, Phase};
 use crate::method_interface::interface::Roughness;
+use crate::methods::cma_es::PopulationSearch;
 use crate::methods::nelder_mead::{NelderMead, SimplexSearch};
 use crate::methods::shared::cost::Cost;
 
@@ -15,6 +16,14 @@ const GROWTH: f64 = 0.5;
 /// Factor by which the slope error, in units of the extent, must have grown between two consecutive failed
 /// steps.
 const GROWN: f64 = 2.0;
+/// Minimum length within which noise hides the curvature if CMA-ES is to continue, in units of the first
+/// radius. This and the next two constants were tuned with the sets with kinks and with noise of
+/// `benches/choice.rs` at seed 0 and other smooth functions with noise, and checked with seeds 1 to 3.
+const HIDDEN: f64 = 0.2;
+/// Factor by which the change of slope must exceed all earlier ones to be noise.
+const BENT: f64 = 3.0;
+/// Number of further resolutions after which a change of slope that has not grown is a kink.
+const MOST_UNDECIDED: usize = 2;
 /// Minimum significant change of the cost due to curvature within rho, as a fraction of the cost.
 const VISIBLE: f64 = 1e3 * f64::EPSILON;
 
@@ -66,11 +75,44 @@ impl ModelSearch {
         (0..self.points.len()).all(|slot| self.points.cost(slot).value() == f)
     }
 
-    /// Starts a simplex search from the best point. Returns false if this is not possible.
+    /// True if noise or steps hide the curvature of the cost, `None` if this is undecided. The change of the
+    /// cost by its own curvature, the smallest since the start, exceeds the change by noise only beyond a
+    /// length, which must be a large part of the first radius. A kink without curvature has this property,
+    /// too. But the change of slope at a kink is independent of the extent, whereas noise changes the slope
+    /// with 1/extent. If the change of slope has not grown, two more resolutions decide.
+    fn hides_curvature(&self) -> Option<bool> {
+        let (&(extent, curvature), before) = self.curvatures.split_last()?;
+        if self.is_flat() {
+            return Some(true);
+        }
+        let each = self.curvatures.iter().map(|(_, curvature)| *curvature).filter(|c| *c > 0.0);
+        let least = each.fold(f64::INFINITY, f64::min);
+        let bend = before.iter().map(|(extent, curvature)| extent * curvature).fold(0.0, f64::max);
+        if extent * (curvature / least).sqrt() <= HIDDEN * self.radius {
+            Some(false)
+        } else if extent * curvature > BENT * bend {
+            Some(true)
+        } else {
+            (self.n_undecided >= MOST_UNDECIDED).then_some(false)
+        }
+    }
+
+    /// Starts CMA-ES from the best point if the curvature is hidden, otherwise a simplex search. Returns
+    /// false if this is not possible or undecided.
     pub(super) fn hand_over(&mut self) -> bool {
         let best = self.points.best();
         let (start, cost) = (self.points.x(best).to_vec(), self.points.cost(best));
         let (n_batches, n_points) = self.rounds.counts();
+        let Some(hidden) = self.hides_curvature() else {
+            self.n_undecided += 1;
+            return false;
+        };
+        if hidden {
+            let search = PopulationSearch::new(&self.setup, &start, (n_batches, n_points));
+            let Ok(search) = search else { return false };
+            (self.population, self.phase) = (Some(Box::new(search)), Phase::HandedOver);
+            return true;
+        }
         let simplex = SimplexSearch::new(&NelderMead::default(), &self.setup, &start, n_batches, n_points);
         let (Ok(mut simplex), Cost::Value(cost)) = (simplex, cost) else { return false };
         simplex.state.set_start_cost(cost, self.f_0);

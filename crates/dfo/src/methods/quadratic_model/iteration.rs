@@ -499,7 +499,7 @@ impl ModelSearch {
         self.fold();
         let found = self.look_for_roughness();
         self.roughness = found.or(self.roughness);
-        if self.hand_over && found.is_some() && self.hand_over() {
+        if self.hand_over && (found.is_some() || self.n_undecided > 0) && self.hand_over() {
             return;
         }
         let tests = self.tests.filter(|tests| tests.passed);

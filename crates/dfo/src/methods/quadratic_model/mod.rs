@@ -22,8 +22,10 @@
 //! **Noise and kinks.** For a smooth cost, the curvature of the model converges as the resolution shrinks. If
 //! the curvature grows, the cost has a kink or noise, and passed tests are meaningless. The search then
 //! restarts from a larger distance, and has converged only if several consecutive starts end without such
-//! evidence. Alternatively, it hands over to a simplex search (`hand_over.rs`,
-//! `nelder_mead/simplex_search.rs`), which continues from the best point as Nelder-Mead does from a start.
+//! evidence. Alternatively, it hands over to a simplex search or to CMA-ES (`hand_over.rs`), which continues
+//! from the best point as it does from a start. CMA-ES continues if noise or steps hide the curvature of the
+//! cost within a fifth of the first radius. Its ranks of many points average the noise, whereas a simplex
+//! collapses.
 //!
 //! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, is first
 //! varied alone (`shared/size_search.rs`).

@@ -37,10 +37,12 @@ pub struct QuadraticModel {
     /// trust region. A start that finds a lower cost resets the count. After noise or kinks have been
     /// detected, this number of consecutive starts must end without them for convergence.
     pub restarts: usize,
-    /// True to continue with [`NelderMead`](crate::NelderMead) from the best point if the model shows noise
-    /// or kinks. They are detected if the curvature grows as the region shrinks, or if steps fail at several
-    /// resolutions. The message of the result then reports the change, and the tests are the tests of the
-    /// simplex. Default false; [`Auto`](crate::Auto) sets it.
+    /// True to continue with another method from the best point if the model shows noise or kinks. They are
+    /// detected if the curvature grows as the region shrinks, or if steps fail at several resolutions.
+    /// [`CmaEs`](crate::CmaEs) continues if they hide the curvature within a fifth of the first radius, as
+    /// strong noise and steps do. Otherwise [`NelderMead`](crate::NelderMead) continues. The message of the
+    /// result then reports the change, and the tests are the tests of the second method. Default false;
+    /// [`Auto`](crate::Auto) sets it.
     #[serde(default)]
     pub hand_over: bool,
 }
@@ -74,7 +76,7 @@ impl QuadraticModel {
         self
     }
 
-    /// Sets whether Nelder-Mead continues if noise or kinks are detected, see
+    /// Sets whether another method continues if noise or kinks are detected, see
     /// [`QuadraticModel::hand_over`](field@Self::hand_over).
     #[must_use]
     pub fn hand_over(mut self, hand_over: bool) -> Self {

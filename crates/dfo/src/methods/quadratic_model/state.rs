@@ -9,6 +9,7 @@ use crate::method_interface::interface::{
     AnswersSoFar, Batch, Method, MethodDetails, Operation, Roughness, Setup, Status, saved,
 };
 use crate::method_interface::tolerances::ToleranceTests;
+use crate::methods::cma_es::PopulationSearch;
 use crate::methods::failure_check::FailureCheck;
 use crate::methods::nelder_mead::{NelderMead, SimplexSearch};
 use crate::methods::shared::cost::Cost;
@@ -36,7 +37,7 @@ pub(super) enum Phase {
     },
     /// A point that improves the model.
     Geometry,
-    /// A simplex search continues.
+    /// A simplex search or CMA-ES continues.
     HandedOver,
     /// The search has ended next to failed points. CMA-ES searches for a lower cost between them.
     BesideFailures,
@@ -88,11 +89,14 @@ pub struct ModelSearch {
     pub(super) operation: Option<Operation>,
     pub(super) tests: Option<ToleranceTests>,
     pub(super) f_0: f64,
-    /// True if a simplex search may continue, and the active simplex search.
+    /// True if another search may continue, and the active simplex search.
     #[serde(default)]
     pub(super) hand_over: bool,
     #[serde(default)]
     pub(super) simplex: Option<SimplexSearch>,
+    /// The active CMA-ES search, if it continues instead of a simplex search.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) population: Option<Box<PopulationSearch>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) check: Option<FailureCheck>,
     /// Extents of the model since the last start, and the norm of its Hessian, for each exhausted resolution.
@@ -103,6 +107,9 @@ pub struct ModelSearch {
     pub(super) roughness: Option<Roughness>,
     #[serde(default)]
     pub(super) n_smooth: usize,
+    /// Number of exhausted resolutions at which a hand-over was due, but its method undecided.
+    #[serde(default)]
+    pub(super) n_undecided: usize,
     /// Errors of the model at the last two points since the last start, newest first.
     #[serde(default)]
     pub(super) last_errors: [f64; 2],
@@ -139,10 +146,12 @@ impl ModelSearch {
             restarts: options.restarts,
             hand_over: options.hand_over,
             simplex: None,
+            population: None,
             check: None,
             curvatures: Vec::new(),
             roughness: None,
             n_smooth: 0,
+            n_undecided: 0,
             last_errors: [f64::INFINITY; 2],
             most_points,
             setup,
@@ -180,7 +189,8 @@ impl ModelSearch {
             && !self.retries.is_empty()
             && self.points.len() > 0
             && (self.phase != Phase::Starting || self.points.len() == self.retries.len())
-            && (self.phase == Phase::HandedOver) == self.simplex.is_some()
+            && (self.phase == Phase::HandedOver) == (self.simplex.is_some() != self.population.is_some())
+            && self.population.as_ref().is_none_or(|search| search.is_sound(&self.setup))
             && (self.phase != Phase::BesideFailures || self.check.is_some())
             && self.check.as_ref().is_none_or(|check| check.is_sound(&self.setup))
             && self
@@ -266,6 +276,9 @@ impl Method for ModelSearch {
         if let Some(simplex) = &mut self.simplex {
             return simplex.ask(batch);
         }
+        if let Some(population) = &mut self.population {
+            return population.ask(batch);
+        }
         if let (Phase::BesideFailures, Some(check)) = (&self.phase, &mut self.check) {
             return check.ask(batch);
         }
@@ -288,6 +301,9 @@ impl Method for ModelSearch {
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
         if let Some(simplex) = &mut self.simplex {
             return simplex.state.tell(answers);
+        }
+        if let Some(population) = &mut self.population {
+            return population.search.tell(answers);
         }
         if let (Phase::BesideFailures, Some(check)) = (&self.phase, &mut self.check) {
             if let Some(termination) = check.tell(answers, &self.setup)? {
@@ -322,6 +338,9 @@ impl Method for ModelSearch {
         if let Some(simplex) = &self.simplex {
             return simplex.state.status();
         }
+        if let Some(population) = &self.population {
+            return population.search.status();
+        }
         match &self.phase {
             Phase::NoStart => Status::NoStart,
             Phase::Ended(termination) => Status::Ended(termination.clone()),
@@ -341,6 +360,9 @@ impl Method for ModelSearch {
         if let Some(simplex) = &self.simplex {
             return simplex.details(details);
         }
+        if let Some(population) = &self.population {
+            return population.details(details);
+        }
         let details = MethodDetails { population: Some(self.points.view()), ..details };
         match &self.check {
             Some(check) => check.details(details),
@@ -352,7 +374,11 @@ impl Method for ModelSearch {
         let of_rounds = self.rounds.best();
         let found = match &self.check {
             Some(check) => Some(check.best()),
-            None => self.simplex.as_ref().and_then(|simplex| simplex.state.best()),
+            None => match (&self.simplex, &self.population) {
+                (Some(simplex), _) => simplex.state.best(),
+                (None, Some(population)) => population.search.best(),
+                (None, None) => None,
+            },
         };
         match (of_rounds, found) {
             (Some((_, f)), Some((_, g))) if g >= f => of_rounds,

@@ -358,7 +358,8 @@ class Calibration(Evaluation):
             pickled in any case.
 
             Standard errors require the sum of squares or the likelihood, and robust losses the sum of squares. If there are no residuals, method
-            "auto" is "quadratic-model", which switches to Nelder-Mead if it detects noise or kinks.
+            "auto" is "quadratic-model", which switches to Nelder-Mead if it detects kinks, and to CMA-ES if it
+            detects strong noise or steps.
         covariance : {"sandwich", "pooled"} or None
             Estimator of the standard errors of the fit, see `uncertainty`. They are computed after the search from
             simulations that are not included in ``nfev``: at least two per parameter and one with a tighter

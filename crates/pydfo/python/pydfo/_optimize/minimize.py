@@ -77,14 +77,14 @@ def minimize(
         - "quadratic-model": trust region on quadratic interpolation models, for smooth costs; options `radius`,
           `points`, `restarts`, `hand_over`;
         - "cma-es": covariance matrix adaptation;
-        - "pattern-search": mesh adaptive direct search, for costs with kinks and steps, not for smooth costs;
+        - "pattern-search": mesh adaptive direct search, for costs with kinks; not for smooth costs, noise or steps;
         - "multistart": differential evolution, then local searches from several starts in a box; ``optima`` of the
           result lists the minima found.
 
         Case is ignored in names, and "-", "_" or a space may separate the words. "auto" selects "quadratic-model",
-        which switches to Nelder-Mead if it detects noise or kinks of the cost, or if the size of a parameter is
-        unknown. In the first case, Nelder-Mead starts from the best point (``hand_over``), and the message reports
-        it. "auto" selects "multistart" with ``search="global"``, "de" with integer parameters and "ga" with
+        which continues with another method from its best point (``hand_over``) if the cost is not smooth: with
+        Nelder-Mead if it detects kinks or weak noise, with CMA-ES if it detects strong noise or steps. The message
+        reports the change. "auto" selects "multistart" with ``search="global"``, "de" with integer parameters and "ga" with
         categorical ones. ``method_reason`` of the result gives the reason.
     args : tuple
         Further arguments of `fun`.
