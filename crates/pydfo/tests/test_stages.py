@@ -129,8 +129,8 @@ def test_bad_stages_are_rejected(stages, error, message):
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
-        ({"windows": (0, 1, 2)}, ValueError, "windows must be a pair (from, to) in s"),
-        ({"windows": 30}, TypeError, "windows must be a pair (from, to) in s, or a list of pairs, not 30"),
+        ({"windows": (0, 1, 2)}, ValueError, "windows must be a pair (from, to)"),
+        ({"windows": 30}, TypeError, "windows must be a pair (from, to), or a list of pairs, not 30"),
         ({"windows": []}, ValueError, "windows must be a pair"),
         ({"windows": ("a", "b")}, TypeError, "windows"),
         ({"windows": (70, 80)}, ValueError, "stage 1: "),

@@ -61,7 +61,7 @@ __all__ = [
     "recorded",
     "recorded_inputs",
     "solve",
-    "solver_standing_for",
+    "solver_of_alias",
     "time_tolerance",
     "visible_line",
     "cross_validate",
