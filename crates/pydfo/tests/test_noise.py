@@ -74,6 +74,21 @@ def test_known_sigma_gives_the_standard_errors_of_curve_fit(tmp_path: Path) -> N
     assert fit.to_dict()["noise"] == "known"
 
 
+def test_sigma_of_missing_measurement_may_be_missing() -> None:
+    y = np.array([1.0, np.nan, 0.36, 0.13])
+    sigma = np.array([0.1, np.nan, 0.1, 0.2])
+    k = pydfo.Parameter("k", 1.0, 0.1, 10.0)
+    model = pydfo.example_fmu("dahlquist")
+    found = pydfo.Calibration(model, {"time": [0, 1, 2, 3], "x": y}, "x", k, sigma={"x": sigma}).fit()
+    there = ~np.isnan(y)
+    data = {"time": np.arange(4.0)[there], "x": y[there]}
+    expected = pydfo.Calibration(model, data, "x", k, sigma={"x": sigma[there]}).fit()
+    assert found.x.tobytes() == expected.x.tobytes() and found.cost == expected.cost
+    sigma[2] = np.nan
+    with pytest.raises(pydfo.CalibrationError, match="sigma NaN of output 'x' at time 2 must be positive"):
+        pydfo.Calibration(model, {"time": [0, 1, 2, 3], "x": y}, "x", k, sigma={"x": sigma})
+
+
 def test_sigma_reports_wrong_arguments() -> None:
     def build(**options: Any) -> Calibration:
         return Calibration(example_fmu("dahlquist"), {"time": T, "x": np.exp(-T)}, "x", [Parameter("k", 2, 0, 9)], **options)

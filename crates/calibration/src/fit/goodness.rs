@@ -2,8 +2,10 @@
 
 use crate::findings::display_text::digits;
 use crate::fit::one_stage::{Fit, FitNoise, ModelledNoise};
+use crate::problem::objective::{CostKind, NamedCost};
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF, FisherSnedecor};
+use std::collections::BTreeSet;
 use std::fmt;
 
 /// Statistics of the residuals of a fit, with the names and definitions of lmfit 1.3 (documentation,
@@ -14,7 +16,9 @@ use std::fmt;
 /// likelihood is `N ln(chisqr / N)` up to a constant. With an error model
 /// ([`Sigma::Model`](crate::Sigma::Model)), the residuals have the weights of the fit, and it is `chisqr + 2
 /// sum ln sigma`. Estimated coefficients then count as parameters of the criteria. The criteria are NaN if
-/// the noise of other outputs is not known.
+/// the noise of other outputs is not known. With the [likelihood](crate::NamedCost::Likelihood), each of m
+/// variables has a variance, it is `sum N_o ln(chisqr_o / N_o)`, and m - 1 variances count as parameters.
+/// One output then has the criteria of the sum of squares.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
@@ -78,8 +82,8 @@ pub struct Comparison {
     /// Statistics of the two fits.
     pub fits: [Goodness; 2],
     /// F statistic of the decrease of `chisqr` by the additional parameters of the larger model. `None` if
-    /// both fits have the same number of parameters or error models, or if the larger model leaves no degree
-    /// of freedom.
+    /// both fits have the same number of parameters or error models, if a fit minimised the likelihood, or if
+    /// the larger model leaves no degree of freedom.
     pub f: Option<f64>,
     /// Probability of a larger F if the smaller model is right. It requires that the models are nested: the
     /// smaller one is the larger one with fixed or tied parameters.
@@ -106,7 +110,19 @@ impl Fit {
             let likelihood = if is_all { chisqr + 2.0 * logarithms.sum::<f64>() } else { f64::NAN };
             (likelihood, models.iter().map(|noise| noise.coefficients().count()).sum())
         });
-        Goodness::new(chisqr, self.n_measurements, nvarys, is_noise_known, with_models)
+        let with_noise = with_models.or_else(|| self.likelihood_of_outputs());
+        Goodness::new(chisqr, self.n_measurements, nvarys, is_noise_known, with_noise)
+    }
+
+    /// Returns minus twice the logarithm of the likelihood with a variance for each variable, up to the
+    /// constant of [`Goodness`], and the number of variances after the first. `None` for other costs.
+    fn likelihood_of_outputs(&self) -> Option<(f64, usize)> {
+        if self.objective != CostKind::Named(NamedCost::Likelihood).name() {
+            return None;
+        }
+        let priors: f64 = self.priors.iter().map(|(k, prior)| prior.residual(self.x[*k]).powi(2)).sum();
+        let variables: BTreeSet<&str> = self.outputs.iter().map(|output| &*output.variable).collect();
+        Some((2.0 * self.cost - priors, variables.len().saturating_sub(1)))
     }
 
     fn models(&self) -> &[ModelledNoise] {
@@ -142,7 +158,9 @@ impl Fit {
         let (small, large) = if fits[0].nvarys <= fits[1].nvarys { (0, 1) } else { (1, 0) };
         let (small, large) = (fits[small], fits[large]);
         let (added, nfree) = ((large.nvarys - small.nvarys) as f64, large.nfree as f64);
-        let of = FisherSnedecor::new(added, nfree).ok().filter(|_| self.models().is_empty());
+        let has_variances = self.likelihood_of_outputs().or(other.likelihood_of_outputs()).is_some();
+        let of =
+            FisherSnedecor::new(added, nfree).ok().filter(|_| self.models().is_empty() && !has_variances);
         let f = of.map(|_| (small.chisqr - large.chisqr) / added / large.redchi);
         // A model that is not nested may have a larger sum of squares.
         let p_value = of.zip(f).map(|(of, f)| of.sf(f.max(0.0)));
@@ -172,7 +190,7 @@ impl fmt::Display for Comparison {
             }
             _ => write!(
                 out,
-                "no F test: the fits have an error model, the same number of parameters, or no degrees of freedom"
+                "no F test: the fits have an error model or minimised the likelihood, have the same number of parameters, or no degrees of freedom"
             ),
         }
     }

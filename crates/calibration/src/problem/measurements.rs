@@ -243,13 +243,16 @@ fn inverse_of_sigma(
         }
         Sigma::Rows(sigmas) => sigmas,
     };
-    match sigmas.iter().position(|sigma| sigma.is_nan() || *sigma <= 0.0) {
+    let measured = data.column(column)?;
+    // The sigma of a missing measurement may be missing.
+    let is_bad = |row: &usize| !(sigmas[*row] > 0.0 || sigmas[*row].is_nan() && measured[*row].is_nan());
+    match (0..n).find(is_bad) {
         Some(row) => setup(format!(
             "sigma {} of output '{variable}' at time {} must be positive. An infinite sigma excludes a measurement",
             Number(sigmas[row]),
             Number(data.time()[row])
         )),
-        None => Ok(sigmas.iter().map(|sigma| 1.0 / sigma).collect()),
+        None => Ok(sigmas.iter().map(|sigma| if sigma.is_nan() { 1.0 } else { 1.0 / sigma }).collect()),
     }
 }
 

@@ -157,7 +157,12 @@ impl Calibration {
             }
         }
         for Suspect { index, is_seen } in suspects {
-            if is_seen && is_spent || !is_allowed() {
+            // Evaluations from another start may be far from the result.
+            if is_seen && is_spent && report.optima.len() < 2 {
+                without_effect.push(index);
+                continue;
+            }
+            if !is_allowed() {
                 without_effect.extend(is_seen.then_some(index));
                 continue;
             }

@@ -209,6 +209,9 @@ fn likelihood_of_one_variable_is_the_search_for_the_sum_of_squares() {
     assert_eq!(ours.report.n_evaluations, squares.report.n_evaluations);
     let n = f64::from(2 * 30);
     assert!((ours.cost - 0.5 * n * (squares.cost / n).ln()).abs() < 1e-9 * ours.cost.abs());
+    let (goodness, expected) = (ours.goodness(), squares.goodness());
+    assert!((goodness.aic - expected.aic).abs() < 1e-6 && (goodness.bic - expected.bic).abs() < 1e-6);
+    assert_eq!(ours.compare(&squares).unwrap().f, None);
     let found = |fit: &Fit| {
         let options = ProfileOptions { is_corrected: false, ..ProfileOptions::default() };
         calibration.profile(fit, &options, &RunContext::new()).unwrap()
@@ -290,6 +293,9 @@ fn likelihood_reports_its_cost_and_no_weighted_residuals() {
         (ours.rms - (sum / 200.0).sqrt()).abs() < 1e-9
             && (ours.cost / likelihood(&residuals) - 1.0).abs() < 1e-9
     );
+    // A variance in addition to the parameters.
+    let goodness = ours.goodness();
+    assert!((goodness.aic - 2.0 * (ours.cost + goodness.nvarys as f64 + 1.0)).abs() < 1e-9);
     assert!(ours.report.message.contains("of the sum of squares"), "{}", ours.report.message);
     // The target is a value of the likelihood.
     let target = Some(ours.cost + 1.0);

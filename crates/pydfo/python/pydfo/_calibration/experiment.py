@@ -85,6 +85,7 @@ class Experiment:
         or one value per measurement. A dict specifies it per output; otherwise it applies to all outputs. The weight is
         1/sigma, and standard errors, intervals, profiles and bands are absolute, as with ``absolute_sigma=True`` of
         SciPy's ``curve_fit``. Sigma is in the unit of the column. An infinite sigma excludes a measurement.
+        If a measurement is missing, its sigma may be missing (NaN).
         A text such as ``"0.1 + 0.05*abs(y)"`` is an error model, where y is the simulated output: ``a + b*abs(y)`` or
         ``b*abs(y)``. The fit is repeated with the standard deviations at its simulated values until they settle. Names
         instead of numbers, as in ``"a + b*abs(y)"``, are estimated from the residuals by maximum likelihood, and
