@@ -36,7 +36,7 @@ pub(crate) struct Evaluation {
 
 impl Evaluation {
     /// Evaluates all recordings with the accuracy of the problem.
-    pub(crate) fn whole(process: ProcessChoice) -> Self {
+    pub(crate) const fn whole(process: ProcessChoice) -> Self {
         Self { accuracy: None, process, recording: None }
     }
 }

@@ -19,6 +19,9 @@ const SHORTEST: f64 = 1e-3;
 /// Interval between two checks of the context while a point waits for a worker.
 const POLL: Duration = Duration::from_millis(20);
 
+/// Evaluation of a point of a search.
+const SEARCHED: Evaluation = Evaluation::whole(ProcessChoice::ComparedFirst);
+
 /// Workers of a search, shared by the points that are evaluated at the same time.
 #[derive(Debug)]
 pub(crate) struct Slots {
@@ -80,13 +83,12 @@ impl Drop for HeldSlots<'_> {
 
 impl LoadedProblem {
     /// Returns the cost like [`Remote::evaluate`], with the recordings on all workers that are free.
-    /// Residuals, cost, failure and statistics are the same, because the recordings count in their order.
-    #[allow(clippy::too_many_arguments)]
+    /// Residuals, cost and failure are the same, because the recordings count in their order. The statistics
+    /// are also the same, except that a finite cutoff stops fewer simulations.
     pub(crate) fn evaluate_on(
         &self,
         slots: &Slots,
         remote: &Remote,
-        process: ProcessChoice,
         x: &[f64],
         rule: CostRule<'_>,
         out: &mut [f64],
@@ -99,8 +101,8 @@ impl LoadedProblem {
         }
         let mut taken = Stats::default();
         let cost = match held.n {
-            1 => remote.evaluate(x, Evaluation::whole(process), rule, out, &mut taken),
-            workers => self.evaluate_recordings(workers, remote, process, x, rule, out, &mut taken),
+            1 => remote.evaluate(x, SEARCHED, rule, out, &mut taken),
+            workers => self.evaluate_recordings(workers, remote, x, rule, out, &mut taken),
         };
         slots.seconds.store(taken.seconds.get().to_bits(), Ordering::Relaxed);
         *stats += taken;
@@ -108,12 +110,10 @@ impl LoadedProblem {
     }
 
     /// Simulates each recording in a worker process, `workers` at a time.
-    #[allow(clippy::too_many_arguments)]
     fn evaluate_recordings(
         &self,
         workers: usize,
         remote: &Remote,
-        process: ProcessChoice,
         x: &[f64],
         rule: CostRule<'_>,
         out: &mut [f64],
@@ -130,10 +130,8 @@ impl LoadedProblem {
                 return None;
             }
             let (mut residuals, mut stats) = (vec![0.0; n_residuals(k)], Stats::default());
-            let (rule, evaluation) = (
-                CostRule { context: *context, ..rule },
-                Evaluation { recording: Some(k), ..Evaluation::whole(process) },
-            );
+            let (rule, evaluation) =
+                (CostRule { context: *context, ..rule }, Evaluation { recording: Some(k), ..SEARCHED });
             let cost = remote.evaluate(x, evaluation, rule, &mut residuals, &mut stats);
             if cost.is_err() {
                 first_failed.fetch_min(k, Ordering::Relaxed);
@@ -148,7 +146,7 @@ impl LoadedProblem {
                 Ok(_) => {}
                 // In order, the cost may pass the cutoff before the failure.
                 Err(CostFailure::Failed { .. }) if rule.cutoff.is_finite() => {
-                    return remote.evaluate(x, Evaluation::whole(process), rule, out, stats);
+                    return remote.evaluate(x, SEARCHED, rule, out, stats);
                 }
                 Err(failure) => return Err(failure),
             }

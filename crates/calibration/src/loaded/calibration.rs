@@ -374,7 +374,7 @@ impl Calibration {
         self.check_length(x)?;
         let mut residuals = vec![0.0; self.n_residuals()];
         let rule = CostRule::whole(RobustLoss::default(), context);
-        let cost = self.evaluate_in(ProcessChoice::Compared, None, x, rule, &mut residuals, stats);
+        let cost = self.evaluate_in(ProcessChoice::Compared, x, rule, &mut residuals, stats);
         cost.map(|cost| (cost, residuals)).map_err(|no_cost| match no_cost.of_point() {
             Ok(PointFailure { message, source }) => self.failed_at(x, message, source),
             Err(error) => error,
@@ -408,14 +408,13 @@ impl Calibration {
         let ended = || query.cancelled();
         answer.residuals.resize(self.n_residuals(), 0.0);
         let rule = CostRule { loss, cutoff: query.cutoff, context: RunContext::new().polling(&ended) };
-        answer.outcome = match self.evaluate_in(
-            ProcessChoice::ComparedFirst,
-            slots,
-            x,
-            rule,
-            &mut answer.residuals,
-            stats,
-        ) {
+        let cost = match (slots, &self.evaluator.remote) {
+            (Some(slots), Ok(remote)) => {
+                self.evaluator.evaluate_on(slots, remote, x, rule, &mut answer.residuals, stats)
+            }
+            _ => self.evaluate_into(x, rule, &mut answer.residuals, stats),
+        };
+        answer.outcome = match cost {
             Ok(cost) => Outcome::Value(cost),
             Err(CostFailure::Above) => Outcome::Above(query.cutoff),
             Err(CostFailure::Cancelled) => Outcome::cancelled(),
@@ -454,7 +453,7 @@ impl Calibration {
         out: &mut [f64],
         stats: &mut Stats,
     ) -> Result<f64, CostFailure> {
-        self.evaluate_in(ProcessChoice::ComparedFirst, None, x, rule, out, stats)
+        self.evaluate_in(ProcessChoice::ComparedFirst, x, rule, out, stats)
     }
 
     /// Returns the cost like [`evaluate_into`](Self::evaluate_into). If worker processes are used, `process`
@@ -462,17 +461,13 @@ impl Calibration {
     fn evaluate_in(
         &self,
         process: ProcessChoice,
-        slots: Option<&Slots>,
         x: &[f64],
         rule: CostRule<'_>,
         out: &mut [f64],
         stats: &mut Stats,
     ) -> Result<f64, CostFailure> {
         if let Ok(remote) = &self.evaluator.remote {
-            return match slots {
-                Some(slots) => self.evaluator.evaluate_on(slots, remote, process, x, rule, out, stats),
-                None => remote.evaluate(x, Evaluation::whole(process), rule, out, stats),
-            };
+            return remote.evaluate(x, Evaluation::whole(process), rule, out, stats);
         }
         self.evaluator.evaluate(x, rule, out, stats, |k, run| {
             Ok(self.evaluator.simulations[k].pool.with_simulator(&rule.context, run))
