@@ -174,7 +174,7 @@ def mapped(fun: Callable[..., Any], apply: Callable[..., Iterable[Any]], takes_c
     return evaluate
 
 
-#: Number of answers after which a task may be overdue. The median of fewer is no typical time.
+#: Number of answers after which a task may be overdue. The median of fewer answers may not be typical.
 MIN_ANSWERS = 5
 
 
