@@ -33,6 +33,8 @@ def test_bootstrap_reports_wrong_arguments() -> None:
         fit.bootstrap(5, "jackknife")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="n"):
         fit.bootstrap(0)
+    with pytest.raises(ValueError, match="n must be an integer of at least 1, not None"):
+        fit.bootstrap(None)
     with pytest.raises(ValueError, match="level is 2; it must be between 0 and 1"):
         fit.bootstrap(3, rng=1).intervals(2)
     with pytest.raises(ValueError, match="requires a sum of squares"):

@@ -174,18 +174,23 @@ impl Calibration {
                 let mut other = self.problem().clone();
                 other.experiments.clone_from(experiments);
                 let names = other.experiment_names();
-                let acting = |p: &Parameter| {
-                    p.restricted_to(&names).ok_or_else(|| CalibrationError::Parameter {
-                        name: p.name().to_owned(),
-                        message: format!(
-                            "acts in {} only, so it is unknown whether it acts in the recordings {}. Name a recording after the \
+                let of_fit = self.problem().experiment_names();
+                let are_of_fit = names.iter().all(|name| of_fit.contains(name));
+                let error = |p: &Parameter| CalibrationError::Parameter {
+                    name: p.name().to_owned(),
+                    message: format!(
+                        "acts in {} only, so it is unknown whether it acts in the recordings {}. Name a recording after the \
                              experiment whose parameters it has",
-                            p.given_experiments().unwrap_or_default().join(", "),
-                            names.join(", ")
-                        ),
-                    })
+                        p.given_experiments().unwrap_or_default().join(", "),
+                        names.join(", ")
+                    ),
                 };
-                self.problem().parameters.iter().map(acting).collect::<Result<_, _>>()?
+                // Recordings that are named after experiments of the fit have their parameters and no others.
+                let acting = |p: &Parameter| match p.restricted_to(&names) {
+                    None if are_of_fit => None,
+                    restricted => Some(restricted.ok_or_else(|| error(p))),
+                };
+                self.problem().parameters.iter().filter_map(acting).collect::<Result<_, _>>()?
             }
             ValidationSet::Windows(_) => self.problem().parameters.clone(),
         };

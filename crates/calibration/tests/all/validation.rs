@@ -194,6 +194,10 @@ fn validation_uses_the_parameters_of_the_experiment_with_the_same_name() {
     let both = vec![experiment(2.0, 1.0).named("b"), experiment(0.5, 1.0).named("c")];
     let validation = validate(both).unwrap();
     assert_eq!((validation.x.as_slice(), validation.fitted.len()), (fit.x.as_slice(), 0));
+    let slow = validate(vec![experiment(0.5, 1.0).named("c")]).unwrap();
+    assert_eq!((slow.names.as_slice(), slow.x.as_slice()), (&["slow".to_owned()][..], &fit.x[1..]));
+    let expected = rms(0..=30, (slow.x[0], 1.0), (0.5, 1.0));
+    assert!((slow.rms / expected - 1.0).abs() < 1e-3, "{} {expected}", slow.rms);
     let error = validate(vec![experiment(2.0, 1.0)]).unwrap_err().to_string();
     assert!(
         error.contains("parameter 'fast': acts in a, b only, so it is unknown whether it acts in the recordings run1. Name"),

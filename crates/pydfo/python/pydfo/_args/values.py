@@ -83,6 +83,13 @@ def limit(name: str, value: SupportsFloat | None, least: int) -> int | None:
     return int(count) if count <= sys.maxsize else None
 
 
+def count(name: str, value: SupportsFloat) -> int:
+    """Returns a finite count of at least 1. Raises ValueError or TypeError for other values."""
+    if (found := limit(name, value, 1)) is None:
+        raise ValueError(f"{name} must be an integer of at least 1, not {show(value)}")
+    return found
+
+
 def index(name: str, value: SupportsIndex) -> int:
     """Returns an integer."""
     try:

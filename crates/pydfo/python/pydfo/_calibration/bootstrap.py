@@ -66,8 +66,7 @@ def of_fit(
     checkpoint: str | os.PathLike[str] | None,
 ) -> Bootstrap:
     """Returns the fits to synthetic measurements of a fit."""
-    number = _values.limit("n", n, 1)
-    assert number is not None
+    number = _values.count("n", n)
     found, text = _export.native_of(fit).bootstrap(
         number,
         _values.choice("kind", kind),

@@ -136,8 +136,7 @@ def of_fit(
     word = _values.choice("start", start)
     if word not in ("fit", "box"):
         raise ValueError(f"start is {start!r}; expected 'fit' or 'box'")
-    n_steps = _values.limit("steps", steps, 1)
-    assert n_steps is not None
+    n_steps = _values.count("steps", steps)
     units = {one["name"]: one["unit"] for one in fit.to_dict()["parameters"] if one.get("unit")}
     line = None
     if (disp is None or _values.flag("disp", disp)) and is_watched():

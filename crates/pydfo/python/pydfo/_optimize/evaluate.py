@@ -331,7 +331,7 @@ class Resubmit:
     """Executor that submits a task again if it is overdue, and uses the first answer.
 
     Pass it as `workers` in place of the executor. A task is overdue if it has taken `overdue` times as long as the
-    median of the answered tasks, from submission to answer. The rule applies after `MIN_ANSWERS` answers. Each task is
+    median of the answered tasks, from submission to answer. The rule applies after five answers. Each task is
     submitted again at most once. This decides only which process computes a point, so the result of a run is the same.
     ``n_lost`` counts the tasks submitted again.
 
