@@ -101,10 +101,10 @@ SETS: dict[str, Set] = {
     ),
     **{
         f"bbob-{n}": Set(
-            f"13 BBOB functions in {n} dimensions, 1000 n evaluations", lambda seeds, n=n: bbob.problems(n, seeds), 1000, (),
+            f"24 BBOB functions in {n} dimensions, 1000 n evaluations", lambda seeds, n=n: bbob.problems(n, seeds), 1000, (),
             GLOBAL, 15, True, 1e-2,
         )
-        for n in (2, 5, 10)
+        for n in (2, 5, 10, 20)
     },
 }  # fmt: skip
 

@@ -148,6 +148,74 @@ pub enum Error {
         /// Upper bound.
         upper: f64,
     },
+    /// The limits of a constraint are NaN, contradict each other or exclude every number.
+    #[error("{kind} constraint {index}: no number is between its limits {lower} and {upper}", lower = Number(*.lower), upper = Number(*.upper))]
+    ConstraintLimits {
+        /// `"linear"` or `"nonlinear"`.
+        kind: &'static str,
+        /// Constraint, counted from 0.
+        index: usize,
+        /// Lower limit.
+        lower: f64,
+        /// Upper limit.
+        upper: f64,
+    },
+    /// A coefficient of a linear constraint is not finite.
+    #[error("linear constraint {constraint}: the coefficient of x[{index}] is {value}; expected a finite number", value = Number(*.value))]
+    ConstraintCoefficient {
+        /// Constraint, counted from 0.
+        constraint: usize,
+        /// Parameter, counted from 0.
+        index: usize,
+        /// The coefficient.
+        value: f64,
+    },
+    /// A linear constraint contains a discrete parameter.
+    #[error(
+        "linear constraint {constraint} contains x[{index}], which is {kind}. State it as a nonlinear \
+         constraint, which differential evolution and the genetic algorithm support"
+    )]
+    DiscreteConstraint {
+        /// Constraint, counted from 0.
+        constraint: usize,
+        /// Parameter, counted from 0.
+        index: usize,
+        /// Its kind.
+        kind: ParameterKind,
+    },
+    /// No point satisfies the bounds and the linear constraints.
+    #[error("no point satisfies {}", infeasible(.constraint))]
+    Infeasible {
+        /// A linear constraint that contradicts the bounds and the constraints before it, counted from 0;
+        /// `None` if it is unknown.
+        constraint: Option<usize>,
+    },
+    /// The linear inequalities leave no room between them.
+    #[error(
+        "the linear inequalities and bounds allow only points on a plane. Replace the inequalities that \
+         imply an equality with this equality"
+    )]
+    NoInterior,
+    /// A method does not support constraints of this kind.
+    #[error("{method} does not support {kind} constraints; use {use_instead}")]
+    NoConstraints {
+        /// The method.
+        method: &'static str,
+        /// `"linear"` or `"nonlinear"`.
+        kind: &'static str,
+        /// Methods that support them.
+        use_instead: &'static str,
+    },
+    /// The number of constraint values differs from the number of nonlinear constraints.
+    #[error("the objective returned {got} constraint values at x = {x:?}; expected {expected}")]
+    ConstraintCount {
+        /// Number of nonlinear constraints.
+        expected: usize,
+        /// Number of values.
+        got: usize,
+        /// The point.
+        x: Vec<f64>,
+    },
     /// The barrier method needs a start point strictly inside the bounds.
     #[error(
         "x0[{index}] = {value} must be strictly between its bounds {lower} and {upper}", value = Number(*.value), lower = Number(*.lower), upper = Number(*.upper)
@@ -321,6 +389,14 @@ pub enum Error {
         /// Evaluations until the end.
         found: Box<NothingFound>,
     },
+}
+
+fn infeasible(constraint: &Option<usize>) -> String {
+    let all = "the bounds and the linear constraints";
+    match constraint {
+        Some(constraint) => format!("{all}: constraint {constraint} contradicts them"),
+        None => all.to_owned(),
+    }
 }
 
 impl Error {

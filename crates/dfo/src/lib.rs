@@ -18,7 +18,7 @@
 //! | `quadratic-model` | smooth costs, with or without bounds; fewest evaluations | [`QuadraticModel`] |
 //! | `barrier` | smooth costs with at least one bound; points stay strictly inside the bounds | [`Barrier`] |
 //! | `de` (`differential-evolution`), `de-classic` | many minima in a box; integers | [`DifferentialEvolution`] |
-//! | `cma-es` | badly scaled and rotated valleys, noise, steps; with restarts, many minima in a box | [`CmaEs`] |
+//! | `cma-es` | badly scaled and rotated valleys, noise, steps, integers; with restarts, many minima in a box | [`CmaEs`] |
 //! | `multistart` | many minima in a box, by least squares or Nelder-Mead from several starts; reports all minima found | [`Multistart`] |
 //! | `pattern-search` | costs with kinks, such as largest errors; few parameters, with or without bounds | [`PatternSearch`] |
 //! | `ga` (`genetic`) | integer and categorical parameters combined with continuous ones, in a box | [`Genetic`] |
@@ -69,7 +69,7 @@ pub use method_interface::interface::{
     AnswersSoFar, BarrierStage, Batch, Lookahead, Method, MethodDetails, MethodOptions, Operation, Optimum,
     ProblemClass, Roughness, Setup, Simplex, SimplexView, Status,
 };
-pub use method_interface::linear_model::{Covariance, LinearModel};
+pub use method_interface::linear_model::{Covariance, Dependence, LinearModel};
 pub use method_interface::rng::draw_seed;
 pub use method_interface::sampling::Sampling;
 pub use method_interface::tolerances::{Limits, TestedSet, ToleranceTests, Tolerances};
@@ -83,11 +83,12 @@ pub use methods::{
 pub use outcome::answer::{Answer, Answers, EvaluationKind, Failure, FailureKind, Outcome};
 pub use outcome::termination::{Cause, Termination};
 pub use outcome::trace::{Trace, TraceEntry};
+pub use problem::constraints::{ActiveConstraint, Constraints, LinearConstraint, NonlinearConstraint};
 pub use problem::loss::{Loss, RobustLoss};
 pub use problem::m_estimator::MeanScore;
 pub use problem::objective::{
-    ByRef, Fallible, Objective, Query, ResidualFunction, Residuals, WithQuery, fallible, residuals,
-    with_query,
+    ByRef, Constrained, Fallible, Objective, Query, ResidualFunction, Residuals, WithQuery, constrained,
+    fallible, residuals, with_query,
 };
 pub use problem::space::{Bounds, Space, typical_size};
 pub use run::checkpoint::{Checkpoint, Resume};

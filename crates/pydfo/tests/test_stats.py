@@ -94,7 +94,7 @@ def test_discrete_parameters_are_fitted_by_suitable_methods():
     k = Parameter("k", 1, 1, 8, kind="integer")
     assert repr(k) == "Parameter('k', 1.0, 1.0, 8.0, kind='integer')"
     fit = Calibration(example_fmu("dahlquist"), data, outputs=["x"], parameters=[k]).fit(rng=1, max_evaluations=200)
-    assert fit.method == "de" and fit.x.tolist() == [3.0] and (fit.trace.x == np.round(fit.trace.x)).all()
+    assert fit.method == "cma-es" and fit.x.tolist() == [3.0] and (fit.trace.x == np.round(fit.trace.x)).all()
     choice = Parameter("k", 2, 1, 5, kind="categorical")
     calibration = Calibration(example_fmu("dahlquist"), data, outputs=["x"], parameters=[choice])
     fit = calibration.fit(rng=1, max_evaluations=200)

@@ -24,6 +24,7 @@ struct PointDetails {
     seconds: Cell<Option<f64>>,
     work: Cell<u64>,
     residuals: RefCell<Vec<f64>>,
+    constraints: RefCell<Vec<f64>>,
 }
 
 impl<'a> BatchView<'a> {
@@ -73,6 +74,13 @@ impl<'a> BatchView<'a> {
         let mut copy = self.details[k].residuals.borrow_mut();
         copy.clear();
         copy.extend_from_slice(residuals);
+    }
+
+    /// Sets the values of the nonlinear constraints at point `k`.
+    pub fn set_constraints(&self, k: usize, values: &[f64]) {
+        let mut copy = self.details[k].constraints.borrow_mut();
+        copy.clear();
+        copy.extend_from_slice(values);
     }
 }
 
@@ -148,6 +156,7 @@ impl<'a> Batches<'a> {
             answer.seconds = details.seconds.get().unwrap_or(share);
             answer.work = details.work.get();
             answer.residuals = details.residuals.into_inner();
+            answer.constraints = details.constraints.into_inner();
         }
         if len > 1 && in_all > 0.0 {
             let gain =

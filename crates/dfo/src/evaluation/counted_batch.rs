@@ -199,6 +199,7 @@ impl CountedBatch {
     fn is_target(&self, answer: &Answer, cutoff: f64) -> bool {
         let value = answer.outcome.value().filter(|value| *value <= cutoff);
         matches!((value, self.target), (Some(value), Some(target)) if value <= target)
+            && self.ledger.constraints.rank(&answer.constraints) == 0.0
             && !(self.work.kind() == EvaluationKind::Residuals && answer.residuals_failure().is_some())
     }
 
@@ -283,6 +284,7 @@ impl CountedBatch {
                 Source::Copy(twin) => self.answers[k] = self.answers[twin].clone(),
                 Source::Replayed | Source::Cached | Source::Forbidden => {}
             }
+            self.ledger.check_constraints(batch.point(k), &self.answers[k])?;
             // Also checks answers from elsewhere, which may come from a file or a user.
             if batch.kind() == EvaluationKind::Residuals {
                 self.ledger.count_residuals(batch.point(k), &self.answers[k])?;
@@ -345,6 +347,9 @@ impl CountedBatch {
             } else {
                 self.reported.push(answer.outcome.clone(), &[]);
             }
+            if !answer.constraints.is_empty() {
+                self.reported.set_constraints(&answer.constraints);
+            }
         }
         &mut self.reported
     }
@@ -355,6 +360,7 @@ impl CountedBatch {
 
     pub(crate) fn target_reached(&self, limits: &Limits) -> bool {
         matches!((limits.target, self.ledger.best.cost()), (Some(target), Some(best)) if best <= target)
+            && self.ledger.is_feasible()
     }
 }
 

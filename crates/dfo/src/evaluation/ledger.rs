@@ -2,8 +2,10 @@
 
 use crate::error::{Error, NothingFound};
 use crate::method_interface::interface::Batch;
+use crate::outcome::answer::FailureKind;
 use crate::outcome::answer::{Answer, Best, EvaluationKind, Failure, Outcome};
 use crate::outcome::trace::{Record, SpeculativeEntry, Trace};
+use crate::problem::constraints::Constraints;
 use serde::{Deserialize, Serialize};
 
 /// Maximum number of reasons that are counted separately. Further reasons are counted together.
@@ -51,6 +53,15 @@ pub(crate) struct Ledger {
     /// Number of these evaluations that the path reached later.
     pub(crate) n_reached: usize,
     pub(crate) best: Best,
+    /// Rank of the best point among infeasible points ([`Constraints::rank`]); 0 if it is feasible.
+    #[serde(default)]
+    best_rank: f64,
+    /// Constraint values of the best point.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(crate) best_constraints: Vec<f64>,
+    /// Nonlinear constraints of the run.
+    #[serde(skip)]
+    pub(crate) constraints: Constraints,
     /// Residuals of the best point; empty if unknown.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(crate) best_residuals: Vec<f64>,
@@ -80,6 +91,9 @@ impl Ledger {
             n_early: 0,
             n_reached: 0,
             best: Best::default(),
+            best_rank: 0.0,
+            best_constraints: Vec::new(),
+            constraints: Constraints::default(),
             best_residuals: Vec::new(),
             n_evaluations: 0,
             n_failed: 0,
@@ -108,7 +122,12 @@ impl Ledger {
             }
             // A cost above its cutoff is ignored, because the evaluation might have been abandoned.
             let Some(value) = outcome.value().filter(|v| *v <= batch.cutoff(k)) else { continue };
-            let is_best = self.best.offer(batch.point(k), value);
+            let rank = self.constraints.rank(&answer.constraints);
+            let is_best = self.best.offer_ranked(batch.point(k), value, rank, self.best_rank);
+            if is_best {
+                self.best_rank = rank;
+                self.best_constraints.clone_from(&answer.constraints);
+            }
             let wanted = batch.kind() == EvaluationKind::Residuals;
             // A cost without residuals may be evaluated again with them.
             if is_best || wanted && self.best.get() == Some((batch.point(k), value)) {
@@ -131,12 +150,30 @@ impl Ledger {
         if got == expected { Ok(()) } else { Err(Error::ResidualCount { expected, got, x: x.to_vec() }) }
     }
 
+    /// True if the best point satisfies the nonlinear constraints up to their tolerance.
+    pub(crate) fn is_feasible(&self) -> bool {
+        self.best_rank == 0.0
+    }
+
+    /// Checks the number of constraint values of a point with a cost.
+    ///
+    /// # Errors
+    /// Returns an error if it is not the number of nonlinear constraints.
+    pub(crate) fn check_constraints(&self, x: &[f64], answer: &Answer) -> Result<(), Error> {
+        let (expected, got) = (self.constraints.nonlinear.len(), answer.constraints.len());
+        if got == expected || answer.outcome.value().is_none() {
+            return Ok(());
+        }
+        Err(Error::ConstraintCount { expected, got, x: x.to_vec() })
+    }
+
     /// Counts an evaluation and adds it to the trace.
     fn enter(&mut self, batch: &Batch, k: usize, answer: &Answer) {
         self.n_evaluations += 1;
         let outcome = &answer.outcome;
         if let Outcome::Failed(Failure { kind, message }) = outcome
             && kind.is_of_point()
+            && *kind != FailureKind::Infeasible
         {
             self.n_failed += 1;
             self.first_failure.get_or_insert_with(|| batch.point(k).to_vec());
@@ -156,6 +193,7 @@ impl Ledger {
             used: outcome.is_conclusive(),
             seconds: answer.seconds,
             residuals: if self.keeps_residuals { answer.only(batch.kind()).residuals } else { Vec::new() },
+            constraints: answer.constraints.clone(),
         };
         self.trace.push(batch.point(k), record);
     }

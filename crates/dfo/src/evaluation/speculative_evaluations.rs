@@ -113,6 +113,9 @@ impl SpeculativeEvaluations {
             // Requests more points than fit, so that running points are not cancelled when other points
             // precede them.
             method.speculate(2 * wanted, &UnderWay { round, answers }, requested);
+            if !round.ledger.constraints.nonlinear.is_empty() {
+                requested.remove_cutoffs();
+            }
         }
         hashes.clear();
         hashes.extend(requested.points().map(hash));

@@ -2,10 +2,12 @@
 //! request order. It never calls the objective.
 
 use crate::error::Error;
+use crate::method_interface::cost::Cost;
 use crate::method_interface::linear_model::LinearModel;
 use crate::method_interface::tolerances::{ToleranceTests, Tolerances};
 use crate::outcome::answer::{Answer, Answers, EvaluationKind};
 use crate::outcome::termination::Termination;
+use crate::problem::constraints::{ActiveConstraint, Constraints};
 use crate::problem::loss::RobustLoss;
 use crate::problem::objective::Query;
 use crate::problem::space::Space;
@@ -108,6 +110,11 @@ impl Batch {
     /// Returns the index of the point with this id. Ids ascend.
     pub(crate) fn place_of(&self, id: u64) -> Option<usize> {
         self.ids.binary_search(&id).ok()
+    }
+
+    /// Removes all cutoffs.
+    pub(crate) fn remove_cutoffs(&mut self) {
+        self.cutoffs.iter_mut().for_each(|cutoff| *cutoff = f64::INFINITY);
     }
 
     /// Replaces the cutoff of point `k`; for a method that wraps another method.
@@ -329,6 +336,9 @@ pub struct Setup {
     /// Loss that has already been applied to the residuals.
     #[serde(default, skip_serializing_if = "RobustLoss::is_linear")]
     pub loss: RobustLoss,
+    /// Nonlinear constraints. Linear ones are part of the space.
+    #[serde(default, skip_serializing_if = "Constraints::is_empty")]
+    pub constraints: Constraints,
     /// Number of evaluations that may run at once, for methods whose batch plan depends on it.
     #[serde(skip)]
     pub workers: usize,
@@ -345,6 +355,7 @@ impl Setup {
             start_given: true,
             prior: Vec::new(),
             loss: RobustLoss::default(),
+            constraints: Constraints::default(),
             workers: 1,
         }
     }
@@ -363,6 +374,10 @@ pub struct ProblemClass<'a> {
     pub residuals: bool,
     /// Goal of the search.
     pub search: Search,
+    /// True if there are linear constraints.
+    pub linear: bool,
+    /// True if there are nonlinear constraints.
+    pub nonlinear: bool,
 }
 
 impl ProblemClass<'_> {
@@ -405,6 +420,16 @@ pub trait MethodOptions {
     {
         let _ = class;
         Ok(None)
+    }
+
+    /// True if the method keeps linear constraints at all points that it requests.
+    fn supports_linear(&self) -> bool {
+        false
+    }
+
+    /// True if the method searches for points that satisfy nonlinear constraints.
+    fn supports_nonlinear(&self) -> bool {
+        false
     }
 
     /// True if the method requires a start point. Other methods use the middle of the box if no start point
@@ -513,6 +538,11 @@ pub trait Method {
     /// Returns the best point known to the method, with its cost.
     fn best(&self) -> Option<(&[f64], f64)>;
 
+    /// Returns the violation of nonlinear constraints at the best point; 0 if it is feasible.
+    fn best_violation(&self) -> f64 {
+        0.0
+    }
+
     /// Returns details of the progress of the method, including data that only some methods have.
     fn details(&self) -> MethodDetails<'_>;
 
@@ -590,6 +620,8 @@ pub struct MethodDetails<'a> {
     pub schedule: &'a [BarrierStage],
     /// Minima at which searches from several starts ended, best first.
     pub optima: &'a [Optimum],
+    /// Active constraints at the best point with their multipliers, for methods that have them.
+    pub multipliers: Vec<ActiveConstraint>,
 }
 
 /// A minimum at which local searches ended.
@@ -626,6 +658,8 @@ pub struct SimplexView<'a> {
     pub(crate) n: usize,
     pub(crate) x: &'a [f64],
     pub(crate) costs: &'a [Option<f64>],
+    /// Costs by which the points rank.
+    pub(crate) ranked: &'a [Cost],
     pub(crate) order: &'a [usize],
 }
 
@@ -681,6 +715,11 @@ impl<'a> SimplexView<'a> {
     /// Returns the cost of the vertex with this rank; `None` if it failed or is not known yet.
     pub fn cost(&self, rank: usize) -> Option<f64> {
         self.costs[self.order[rank]]
+    }
+
+    /// Returns the cost by which the vertex of this rank ranks.
+    pub(crate) fn rank_cost(&self, rank: usize) -> Cost {
+        self.ranked[self.order[rank]]
     }
 
     /// Returns an owned copy.

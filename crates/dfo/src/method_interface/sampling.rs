@@ -63,8 +63,70 @@ impl Sampling {
                 *t = (lower + *t * (upper - lower)).clamp(lower, upper);
             }
         }
+        if !space.rows().is_empty() {
+            for (i, point) in out.chunks_exact_mut(n.max(1)).enumerate() {
+                if !space.satisfies_rows(point) {
+                    draw_feasible(space, &mut Stream::new(seed, Purpose::Sampling, 2, i), point);
+                }
+            }
+        }
         Ok(())
     }
+}
+
+/// Number of steps of hit and run per parameter, and additional steps.
+const STEPS: (usize, usize) = (5, 20);
+
+/// Draws a nearly uniform point in the bounds and linear constraints, by hit and run from the interior point
+/// (Smith, Oper. Res. 32, 1984, 1296): each step goes to a uniform point on the chord along a random
+/// direction. Directions are random in units of the sizes, and every other one is along a coordinate. Chords
+/// without an end extend by one size.
+pub(crate) fn draw_feasible(space: &Space, stream: &mut Stream, u: &mut [f64]) {
+    let n = space.n_free();
+    u.copy_from_slice(space.interior());
+    let (mut direction, mut next) = (vec![0.0; n], vec![0.0; n]);
+    for step in 0..STEPS.0 * n + STEPS.1 {
+        if step % 2 == 0 {
+            direction.fill(0.0);
+            let k = stream.below(n);
+            direction[k] = space.size(k);
+        } else {
+            direction.iter_mut().enumerate().for_each(|(k, d)| *d = stream.normal(0.0, space.size(k)));
+        }
+        let share = stream.uniform();
+        let (low, high) = chord(space, u, &direction);
+        let along = low + share * (high - low);
+        for (k, next) in next.iter_mut().enumerate() {
+            let (lower, upper) = space.working_bounds(k);
+            *next = (u[k] + along * direction[k]).clamp(lower, upper);
+        }
+        // Rounding may move the end of a chord outside.
+        if next.iter().all(|v| v.is_finite()) && space.satisfies_rows(&next) {
+            u.copy_from_slice(&next);
+        }
+    }
+}
+
+/// Returns the range of `t` in which `u + t direction` is in the bounds and rows.
+fn chord(space: &Space, u: &[f64], direction: &[f64]) -> (f64, f64) {
+    let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
+    let mut limit = |distance: f64, slope: f64| {
+        let t = distance.max(0.0) / slope.abs();
+        if slope > 0.0 {
+            high = high.min(t);
+        } else if slope < 0.0 {
+            low = low.max(-t);
+        }
+    };
+    for (k, d) in direction.iter().enumerate() {
+        let (lower, upper) = space.working_bounds(k);
+        limit(upper - u[k], *d);
+        limit(u[k] - lower, -d);
+    }
+    for row in space.rows() {
+        limit(row.limit - row.value(u), row.value(direction));
+    }
+    (if low.is_finite() { low } else { -1.0 }, if high.is_finite() { high } else { 1.0 })
 }
 
 /// Number of bits of a Sobol coordinate.

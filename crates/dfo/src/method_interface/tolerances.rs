@@ -143,6 +143,8 @@ pub enum TestedSet {
     Population,
     /// The best eighth of a population.
     BestEighth,
+    /// The members of a population with the integers of the best member.
+    SameIntegers,
     /// The best points of all generations, as many as an eighth of the population.
     BestSeen,
     /// The trust region of a model, or the step to the model's minimum plus its error if that is smaller. The
@@ -160,6 +162,7 @@ impl TestedSet {
             Self::Simplex => "simplex",
             Self::Population => "population",
             Self::BestEighth => "best eighth of the population:",
+            Self::SameIntegers => "members with the best integers:",
             Self::BestSeen => "best points seen:",
             Self::Model => "distance to the model's minimum:",
             Self::Frame => "frame",

@@ -51,6 +51,9 @@ impl Method for BoxedMethod {
     fn best(&self) -> Option<(&[f64], f64)> {
         self.0.best()
     }
+    fn best_violation(&self) -> f64 {
+        self.0.best_violation()
+    }
     fn linear_model(&self, context: &RunContext<'_>) -> Option<LinearModel> {
         self.0.linear_model(context)
     }

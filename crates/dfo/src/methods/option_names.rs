@@ -5,9 +5,10 @@ use crate::values::record::{Record, RecordError, Value};
 use std::collections::BTreeSet;
 
 /// Options that every method supports, by their user-visible names.
-pub(crate) const COMMON: [&str; 13] = [
+pub(crate) const COMMON: [&str; 14] = [
     "cache",
     "checkpoint_interval",
+    "constraint_tol",
     "f_tol",
     "kinds",
     "max_failed",

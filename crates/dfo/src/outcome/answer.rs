@@ -44,6 +44,13 @@ impl Outcome {
         Self::Failed(Failure { kind: FailureKind::Lost, message: message.into() })
     }
 
+    /// Creates a failure with [`FailureKind::Infeasible`]: the cost was not evaluated, because a constraint
+    /// that must be kept is violated.
+    pub fn infeasible() -> Self {
+        let message = "not evaluated, because a constraint is violated".to_owned();
+        Self::Failed(Failure { kind: FailureKind::Infeasible, message })
+    }
+
     /// True if the engine lost the evaluation.
     pub(crate) fn is_lost(&self) -> bool {
         matches!(self, Self::Failed(failure) if failure.kind == FailureKind::Lost)
@@ -116,6 +123,8 @@ pub enum FailureKind {
     Panic,
     /// The objective exceeded its own time limit.
     TimedOut,
+    /// The cost was not evaluated, because a constraint that must be kept is violated.
+    Infeasible,
     /// The run was ending. Not a property of the point.
     Cancelled,
     /// The engine lost the point, for example because a machine or a connection failed. Not a property of the
@@ -150,6 +159,9 @@ pub struct Answer {
     /// outcome is a value.
     #[serde(with = "numbers")]
     pub residuals: Vec<f64>,
+    /// Values of the nonlinear constraints, in their order, whatever the outcome. Empty if there are none.
+    #[serde(default, with = "numbers", skip_serializing_if = "Vec::is_empty")]
+    pub constraints: Vec<f64>,
     /// Work of the evaluation in a unit chosen by the objective, for example right-hand side evaluations. 0
     /// if the objective does not count its work.
     pub work: u64,
@@ -160,7 +172,13 @@ pub struct Answer {
 impl Default for Answer {
     /// Returns an answer with [`Outcome::Skipped`].
     fn default() -> Self {
-        Self { outcome: Outcome::Skipped, residuals: Vec::new(), work: 0, seconds: 0.0 }
+        Self {
+            outcome: Outcome::Skipped,
+            residuals: Vec::new(),
+            constraints: Vec::new(),
+            work: 0,
+            seconds: 0.0,
+        }
     }
 }
 
@@ -175,6 +193,7 @@ impl Answer {
     pub fn clear(&mut self) {
         self.outcome = Outcome::Skipped;
         self.residuals.clear();
+        self.constraints.clear();
         (self.work, self.seconds) = (0, 0.0);
     }
 
@@ -187,7 +206,8 @@ impl Answer {
     /// Returns a copy with only the requested values.
     pub(crate) fn only(&self, kind: EvaluationKind) -> Self {
         let residuals = if kind == EvaluationKind::Residuals { self.residuals.clone() } else { Vec::new() };
-        Self { outcome: self.outcome.clone(), residuals, ..*self }
+        let (outcome, constraints) = (self.outcome.clone(), self.constraints.clone());
+        Self { outcome, residuals, constraints, ..*self }
     }
 
     /// Turns a cost into a failure if its residuals are missing or not finite.
@@ -217,13 +237,17 @@ pub struct Answers {
     /// Number of residuals of each point; 0 if residuals were not requested.
     m: usize,
     residuals: Vec<Vec<f64>>,
+    /// Number of constraint values of each point, and the values.
+    n_constraints: usize,
+    constraints: Vec<f64>,
     /// Memory of removed residuals, for reuse.
     spare: Vec<Vec<f64>>,
 }
 
 impl PartialEq for Answers {
     fn eq(&self, other: &Self) -> bool {
-        (&self.outcomes, &self.residuals) == (&other.outcomes, &other.residuals)
+        (&self.outcomes, &self.residuals, &self.constraints)
+            == (&other.outcomes, &other.residuals, &other.constraints)
     }
 }
 
@@ -255,6 +279,29 @@ impl Answers {
         has_residuals.then(|| std::mem::take(&mut self.residuals[k]))
     }
 
+    /// Returns the values of the nonlinear constraints at point `k`; empty if there are none.
+    pub fn constraints(&self, k: usize) -> &[f64] {
+        &self.constraints[k * self.n_constraints..(k + 1) * self.n_constraints]
+    }
+
+    /// Sets the constraint values of the last point. All points have the same number of values.
+    pub fn set_constraints(&mut self, values: &[f64]) {
+        if self.n_constraints == 0 {
+            self.n_constraints = values.len();
+        }
+        self.constraints.resize((self.outcomes.len().max(1) - 1) * self.n_constraints, f64::NAN);
+        self.constraints.extend(values.iter().take(self.n_constraints));
+        self.constraints.resize(self.outcomes.len() * self.n_constraints, f64::NAN);
+    }
+
+    /// Adds a copy of point `k` of other answers.
+    pub(crate) fn push_from(&mut self, other: &Self, k: usize) {
+        self.push(other.outcomes[k].clone(), other.residuals(k).unwrap_or_default());
+        if other.n_constraints > 0 {
+            self.set_constraints(other.constraints(k));
+        }
+    }
+
     /// Adds a point. All residual vectors get the length of the first one: longer vectors are truncated, and
     /// shorter ones are padded with zeros.
     pub fn push(&mut self, outcome: Outcome, residuals: &[f64]) {
@@ -278,6 +325,7 @@ impl Answers {
         residuals.resize(self.m, 0.0);
         self.outcomes.push(outcome);
         self.residuals.push(residuals);
+        self.constraints.resize(self.outcomes.len() * self.n_constraints, f64::NAN);
     }
 
     /// Removes all points and keeps their memory.
@@ -285,6 +333,8 @@ impl Answers {
         self.outcomes.clear();
         self.spare.append(&mut self.residuals);
         self.m = 0;
+        self.constraints.clear();
+        self.n_constraints = 0;
     }
 }
 
@@ -313,6 +363,11 @@ impl From<&[Outcome]> for Answers {
 pub(crate) struct Best(Option<(Vec<f64>, f64)>);
 
 impl Best {
+    /// Stores a point whatever its cost.
+    pub(crate) fn replace(&mut self, x: &[f64], cost: f64) {
+        self.0 = Some((x.to_vec(), cost));
+    }
+
     /// Stores a point if its cost is lower. Returns true if it was stored.
     pub(crate) fn offer(&mut self, x: &[f64], cost: f64) -> bool {
         match &mut self.0 {
@@ -324,6 +379,16 @@ impl Best {
             None => self.0 = Some((x.to_vec(), cost)),
         }
         true
+    }
+
+    /// Stores a point if it violates the constraints less than the stored one, or equally and has a lower
+    /// cost. Returns true if it was stored.
+    pub(crate) fn offer_ranked(&mut self, x: &[f64], cost: f64, violation: f64, stored: f64) -> bool {
+        if self.0.is_none() || violation < stored {
+            self.replace(x, cost);
+            return true;
+        }
+        violation <= stored && self.offer(x, cost)
     }
 
     pub(crate) fn get(&self) -> Option<(&[f64], f64)> {

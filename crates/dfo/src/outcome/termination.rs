@@ -55,6 +55,8 @@ pub enum Termination {
     },
     /// The tolerance tests passed, but all points had the same cost. The result is not informative.
     ConstantCost,
+    /// The search ended, but its best point violates a nonlinear constraint by more than the tolerance.
+    Infeasible,
     /// The cost fell below -1e50, so it has no minimum. Also used if the minimum of a sum of squares is at
     /// infinity: the parameters grew, and the cost still decreases in that direction.
     Unbounded,
@@ -119,6 +121,7 @@ impl Termination {
             | Self::BesideFailures
             | Self::BeforeMinimum
             | Self::Stalled
+            | Self::Infeasible
             | Self::AllFixed => Cause::Search,
             Self::Target | Self::MaxEvaluations | Self::MaxIterations => Cause::Limit,
             Self::StoppedByObserver => Cause::Callback,
@@ -153,6 +156,7 @@ impl Termination {
             Self::Aborted(_) => "aborted",
             Self::NotSaved { .. } => "not-saved",
             Self::ConstantCost => "constant-cost",
+            Self::Infeasible => "infeasible",
             Self::Unbounded => "unbounded",
         }
     }

@@ -33,6 +33,8 @@ pub(crate) struct Record {
     pub(crate) seconds: f64,
     /// Residuals; empty unless the user requested to keep them.
     pub(crate) residuals: Vec<f64>,
+    /// Values of the nonlinear constraints.
+    pub(crate) constraints: Vec<f64>,
 }
 
 /// File format of records: column by column, with the numbers of a column as one byte string.
@@ -66,6 +68,11 @@ mod columns {
         /// Residuals of all records.
         #[serde(with = "numbers")]
         residuals: Vec<f64>,
+        #[serde(default, with = "numbers", skip_serializing_if = "Vec::is_empty")]
+        n_constraints: Vec<u64>,
+        /// Constraint values of all records.
+        #[serde(default, with = "numbers", skip_serializing_if = "Vec::is_empty")]
+        constraints: Vec<f64>,
     }
 
     pub(super) fn serialize<S: Serializer>(records: &[Record], to: S) -> Result<S::Ok, S::Error> {
@@ -85,27 +92,41 @@ mod columns {
             columns.seconds.push(r.seconds);
             columns.n_residuals.push(r.residuals.len() as u64);
             columns.residuals.extend_from_slice(&r.residuals);
+            columns.n_constraints.push(r.constraints.len() as u64);
+            columns.constraints.extend_from_slice(&r.constraints);
+        }
+        if columns.constraints.is_empty() {
+            columns.n_constraints.clear();
         }
         columns.serialize(to)
     }
 
     pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Record>, D::Error> {
         let columns = Columns::deserialize(from)?;
-        let Columns { value, other_outcomes, id, batch, cutoff, used, seconds, n_residuals, residuals } =
-            columns;
+        let Columns { value, other_outcomes, id, batch, cutoff, used, seconds, .. } = columns;
+        let (n_residuals, residuals) = (columns.n_residuals, columns.residuals);
+        let (mut n_constraints, constraints) = (columns.n_constraints, columns.constraints);
         let n = value.len();
         if [id.len(), batch.len(), cutoff.len(), used.len(), seconds.len(), n_residuals.len()] != [n; 6] {
             return Err(D::Error::custom("the columns of the trace have different lengths"));
         }
+        if n_constraints.is_empty() {
+            n_constraints.resize(n, 0);
+        } else if n_constraints.len() != n {
+            return Err(D::Error::custom("the columns of the trace have different lengths"));
+        }
         let mut others = other_outcomes.into_iter().map(Cow::into_owned);
-        let mut rest = &residuals[..];
+        let (mut rest, mut other_values) = (&residuals[..], &constraints[..]);
         let record = |k: usize| {
             let outcome = if value[k].is_nan() { others.next()? } else { Outcome::Value(value[k]) };
             let (residuals_of_row, later) = rest.split_at_checked(n_residuals[k].try_into().ok()?)?;
             rest = later;
+            let (values, later) = other_values.split_at_checked(n_constraints[k].try_into().ok()?)?;
+            other_values = later;
+            let constraints = values.to_vec();
             let (residuals, used) = (residuals_of_row.to_vec(), used[k] != 0);
             let (id, batch, cutoff, seconds) = (id[k], batch[k], cutoff[k], seconds[k]);
-            Some(Record { outcome, id, batch, cutoff, used, seconds, residuals })
+            Some(Record { outcome, id, batch, cutoff, used, seconds, residuals, constraints })
         };
         let records = (0..n).map(record).collect::<Option<_>>();
         records.ok_or_else(|| D::Error::custom("the trace lacks outcomes or residuals"))
@@ -142,13 +163,15 @@ pub struct TraceEntry<'a> {
     pub seconds: f64,
     /// Residuals, if they were requested and the trace keeps them; otherwise empty.
     pub residuals: &'a [f64],
+    /// Values of the nonlinear constraints; empty if there are none.
+    pub constraints: &'a [f64],
 }
 
 impl Record {
     fn entry<'a>(&'a self, x: &'a [f64]) -> TraceEntry<'a> {
-        let Self { outcome, id, batch, cutoff, used, seconds, residuals } = self;
+        let Self { outcome, id, batch, cutoff, used, seconds, residuals, constraints } = self;
         let (id, batch, cutoff, used, seconds) = (*id, *batch, *cutoff, *used, *seconds);
-        TraceEntry { x, outcome, id, batch, cutoff, used, seconds, residuals }
+        TraceEntry { x, outcome, id, batch, cutoff, used, seconds, residuals, constraints }
     }
 }
 
@@ -275,6 +298,7 @@ impl Trace {
             used: false,
             seconds: early.answer.seconds,
             residuals: &early.answer.residuals,
+            constraints: &early.answer.constraints,
         })
     }
 

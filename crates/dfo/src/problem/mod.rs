@@ -1,5 +1,6 @@
 //! Optimisation problem: objective, loss and search space.
 
+pub(crate) mod constraints;
 pub(crate) mod loss;
 pub(crate) mod m_estimator;
 pub(crate) mod memory;

@@ -2,6 +2,7 @@
 
 use crate::error::Error;
 use crate::outcome::answer::{Answer, EvaluationKind, Outcome};
+use crate::problem::constraints::Constraints;
 use crate::problem::loss::{Loss, RobustLoss};
 use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -182,6 +183,63 @@ where
     }
     fn uses_cutoff(&self) -> bool {
         false
+    }
+}
+
+/// Objective created by [`constrained`].
+#[derive(Debug, Clone)]
+pub struct Constrained<O, C> {
+    objective: O,
+    function: C,
+    constraints: Constraints,
+}
+
+/// Adds the function of the nonlinear constraints to an objective. The function appends one value per
+/// constraint to the empty vector. It is called before the objective, which is not evaluated where a
+/// constraint with `keep_feasible` is violated. Pass the same `constraints` to the run.
+///
+/// ```
+/// use dfo::{Constraints, DifferentialEvolution, NonlinearConstraint, constrained, minimize};
+///
+/// // The nearest point to the origin on or outside the unit circle around (2, 0).
+/// let inside = NonlinearConstraint { lower: f64::NEG_INFINITY, upper: 1.0, keep_feasible: false };
+/// let constraints = Constraints { nonlinear: vec![inside], ..Constraints::default() };
+/// let circle = |x: &[f64], c: &mut Vec<f64>| c.push((x[0] - 2.0).powi(2) + x[1] * x[1]);
+/// let cost = |x: &[f64]| x[0] * x[0] + x[1] * x[1];
+/// let report = minimize(constrained(cost, circle, constraints.clone()))
+///     .bounds(&[-3.0; 2], &[3.0; 2])?
+///     .constraints(constraints)
+///     .method(DifferentialEvolution::default())
+///     .seed(1)
+///     .run()?;
+/// assert!((report.x[0] - 1.0).abs() < 1e-3 && report.constr_violation <= 1e-6, "{report}");
+/// # Ok::<(), dfo::Error>(())
+/// ```
+pub fn constrained<O: Objective, C: Fn(&[f64], &mut Vec<f64>) + Sync>(
+    objective: O,
+    function: C,
+    constraints: Constraints,
+) -> Constrained<O, C> {
+    Constrained { objective, function, constraints }
+}
+
+impl<O: Objective, C: Fn(&[f64], &mut Vec<f64>) + Sync> Objective for Constrained<O, C> {
+    fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
+        (self.function)(x, &mut answer.constraints);
+        if self.constraints.forbids(&answer.constraints) {
+            answer.outcome = Outcome::infeasible();
+        } else {
+            self.objective.evaluate(x, query, answer);
+        }
+    }
+    fn has_residuals(&self) -> bool {
+        self.objective.has_residuals()
+    }
+    fn residual_loss(&self) -> RobustLoss {
+        self.objective.residual_loss()
+    }
+    fn uses_cutoff(&self) -> bool {
+        self.objective.uses_cutoff()
     }
 }
 

@@ -160,6 +160,11 @@ pub(crate) fn fingerprint(
     all.extend(options.into_iter().map(|(name, value)| (format!("option {name}"), value)));
     all.push(named("start", start));
     all.extend(space.describe());
+    let constraints = &setup.constraints;
+    if !constraints.nonlinear.is_empty() {
+        all.push(named("nonlinear constraints", option_texts::word(&constraints.nonlinear)));
+        all.push(named("constraint_tol", constraints.tolerance.to_string()));
+    }
     all.extend(option_texts::fields(tolerances));
     all.push(named("cache", cache.to_string()));
     all.push(named("trace limit", option_texts::limit(trace_limit)));

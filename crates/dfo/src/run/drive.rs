@@ -239,6 +239,10 @@ impl Drive {
             cause.get().is_some()
         };
         self.method.ask_unless(&RunContext::new().polling(&is_over), &mut self.batch);
+        if !self.round.ledger.constraints.nonlinear.is_empty() {
+            // The cost of an infeasible point says nothing about its rank.
+            self.batch.remove_cutoffs();
+        }
         let is_running = self.method.status() == Status::Running;
         let limit = match cause.get() {
             Some(StopCause::Interrupted) if self.batch.is_empty() && is_running => {
@@ -641,7 +645,13 @@ fn meaning(termination: Termination, round: &CountedBatch) -> Termination {
     let first = trace.iter().find_map(|entry| entry.outcome.value());
     match (best.cost(), first) {
         (Some(best), Some(first)) if best < UNBOUNDED && best < -2.0 * first.abs() => Termination::Unbounded,
-        _ if termination == Termination::Converged && trace.constant().is_some() => Termination::ConstantCost,
+        // A search for a feasible point may have a constant cost.
+        _ if termination == Termination::Converged
+            && round.ledger.constraints.nonlinear.is_empty()
+            && trace.constant().is_some() =>
+        {
+            Termination::ConstantCost
+        }
         _ => termination,
     }
 }

@@ -10,6 +10,7 @@ use crate::method_interface::tolerances::{Limits, Tolerances};
 use crate::methods::{AnyMethod, LeastSquares, NelderMead};
 use crate::outcome::answer::Outcome;
 use crate::outcome::trace::{Trace, TraceEntry};
+use crate::problem::constraints::Constraints;
 use crate::problem::loss::RobustLoss;
 use crate::problem::objective::{Objective, ResidualFunction, residuals};
 use crate::problem::space::Bounds;
@@ -439,6 +440,26 @@ impl<'a, M, D> Minimize<'a, M, D> {
     /// every method supports the other kinds.
     pub fn kinds(mut self, kinds: &[ParameterKind]) -> Self {
         self.description.kinds = kinds.to_vec();
+        self
+    }
+
+    /// Sets constraints beyond bounds. The objective returns the values of the nonlinear ones, see
+    /// [`constrained`](crate::constrained).
+    ///
+    /// ```
+    /// use dfo::{Constraints, LinearConstraint, QuadraticModel, minimize};
+    ///
+    /// let sum = LinearConstraint { coefficients: vec![1.0, 1.0], lower: 1.0, upper: 1.0 };
+    /// let report = minimize(|x: &[f64]| x[0] * x[0] + 2.0 * x[1] * x[1])
+    ///     .start(&[0.0, 0.0])
+    ///     .constraints(Constraints { linear: vec![sum], ..Constraints::default() })
+    ///     .method(QuadraticModel::default())
+    ///     .run()?;
+    /// assert!((report.x[0] - 2.0 / 3.0).abs() < 1e-5 && (report.x[1] - 1.0 / 3.0).abs() < 1e-5);
+    /// # Ok::<(), dfo::Error>(())
+    /// ```
+    pub fn constraints(mut self, constraints: Constraints) -> Self {
+        self.description.options.constraints = constraints;
         self
     }
 

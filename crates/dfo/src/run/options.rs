@@ -5,6 +5,7 @@ use crate::evaluation::MOST_WORKERS;
 use crate::method_interface::interface::{MethodOptions, ProblemClass};
 use crate::method_interface::tolerances::{Limits, Tolerances};
 use crate::methods::NelderMead;
+use crate::problem::constraints::Constraints;
 use crate::run::checkpoint::Checkpoint;
 use serde::{Deserialize, Serialize};
 
@@ -59,13 +60,16 @@ pub struct RunOptions<M = NelderMead> {
     /// Evaluated points from earlier runs.
     #[serde(rename = "known")]
     pub evaluated: Vec<EvaluatedPoint>,
+    /// Linear constraints, and limits of the nonlinear ones.
+    #[serde(skip_serializing_if = "Constraints::is_empty")]
+    pub constraints: Constraints,
 }
 
 impl<M> RunOptions<M> {
     /// Returns these options with another method.
     pub fn with_method<N>(self, method: N) -> RunOptions<N> {
         let Self { tolerances, limits, unlimited, workers, seed, cache, .. } = self;
-        let Self { trace_limit, trace_residuals, checkpoint, problem, evaluated, .. } = self;
+        let Self { trace_limit, trace_residuals, checkpoint, problem, evaluated, constraints, .. } = self;
         RunOptions {
             method,
             method_reason: None,
@@ -80,6 +84,7 @@ impl<M> RunOptions<M> {
             checkpoint,
             problem,
             evaluated,
+            constraints,
         }
     }
 

@@ -3,10 +3,11 @@
 use crate::error::{Error, NothingFound};
 use crate::evaluation::ledger::Ledger;
 use crate::method_interface::interface::{BarrierStage, Lookahead, Method, Optimum, Simplex};
-use crate::method_interface::linear_model::{Covariance, LinearModel};
+use crate::method_interface::linear_model::{Covariance, Dependence, LinearModel};
 use crate::method_interface::tolerances::{Limits, ToleranceTests};
 use crate::outcome::termination::{Termination, UNBOUNDED};
 use crate::outcome::trace::Trace;
+use crate::problem::constraints::ActiveConstraint;
 use crate::problem::loss::RobustLoss;
 use crate::problem::m_estimator::MeanScore;
 use base::{Number, RunContext};
@@ -107,6 +108,20 @@ pub struct Report {
     /// Checkpoint from which the run was continued; `None` if the run started fresh.
     #[serde(default)]
     pub resumed: Option<Resumed>,
+    /// Largest violation of a nonlinear constraint at the best point; 0 without nonlinear constraints.
+    #[serde(default)]
+    pub constr_violation: f64,
+    /// Values of the nonlinear constraints at the best point.
+    #[serde(default)]
+    pub constraints: Vec<f64>,
+    /// Parameters that change with others: through linear equalities, and through linear inequalities that
+    /// are active at the best point. Empty if there is no Jacobian.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub dependent: Vec<Dependence>,
+    /// Lagrange multipliers of the active constraints at the best point, for methods that have them.
+    /// Equalities and constraints on a single parameter have none.
+    #[serde(default)]
+    pub multipliers: Vec<ActiveConstraint>,
 }
 
 impl Report {
@@ -153,6 +168,10 @@ impl Report {
             active: Vec::new(),
             loss: RobustLoss::default(),
             resumed: None,
+            constr_violation: 0.0,
+            constraints: Vec::new(),
+            dependent: Vec::new(),
+            multipliers: Vec::new(),
         }
     }
 
@@ -167,13 +186,15 @@ impl Report {
                 .all(|s| s.costs.len() == s.vertices.len() && s.vertices.iter().all(|v| v.len() == n))
             && self.jacobian.as_ref().is_none_or(|jacobian| jacobian.len() == m * n)
             && self.active.len() == if self.jacobian.is_some() { n } else { 0 }
+            && self.dependent.iter().all(|other| other.index < n && other.coefficients.len() == n)
             && self.schedule.iter().all(|stage| stage.x.len() == n)
             && self.optima.iter().all(|optimum| optimum.x.len() == n)
     }
 
     /// Computes the covariance of the parameters from the linear model of the residuals at the end. It is
-    /// `s^2 (J' J)^-1` with `s^2 = r' r / (m - n)`, over the free parameters that are not at a bound. `None`
-    /// without residuals or Jacobian.
+    /// `s^2 (J' J)^-1` with `s^2 = r' r / (m - n)`, over the free parameters that are not at a bound and do
+    /// not depend on others. Equalities and active inequalities determine the entries of dependent
+    /// parameters. `None` without residuals or Jacobian.
     ///
     /// With a loss, the result is the covariance of the M-estimator. The residuals r are then replaced with
     /// their scores, divided by the slope of the mean score. They are multiplied by the square root of the
@@ -187,14 +208,15 @@ impl Report {
     pub fn covariance_unless(&self, context: &RunContext<'_>) -> Option<Covariance> {
         let (residuals, jacobian) = (self.residuals.as_ref()?, self.jacobian.as_ref()?);
         let n_free = self.active.iter().filter(|active| **active == 0).count();
+        let n_free = n_free.saturating_sub(self.dependent.len());
         let mean = self.loss.mean_score(residuals, n_free as f64 / residuals.len() as f64);
         let Some(MeanScore { slope, correction }) = mean.filter(|_| !self.loss.is_linear()) else {
-            return Covariance::new(residuals, jacobian, &self.active, context);
+            return Covariance::new(residuals, jacobian, &self.active, &self.dependent, context);
         };
         let (factor, m) = (correction.sqrt() / slope, residuals.len());
         let score = |(k, r): (usize, &f64)| factor * self.loss.of_residual(k, m).score(*r);
         let working: Vec<f64> = residuals.iter().enumerate().map(score).collect();
-        Covariance::new(&working, jacobian, &self.active, context)
+        Covariance::new(&working, jacobian, &self.active, &self.dependent, context)
     }
 
     /// Returns the sum of squares of the plain residuals. With the linear loss, it equals the cost.
@@ -262,6 +284,8 @@ pub(crate) fn conclude(
     let Some((x, fun)) = ledger.best.get().map(|(x, f)| (x.to_vec(), f)) else {
         return Err(Error::EndedWithoutPoint { termination, found: ledger.nothing_found() });
     };
+    let is_met = termination.is_success() || termination == Termination::Noise;
+    let termination = if is_met && !ledger.is_feasible() { Termination::Infeasible } else { termination };
     let details = method.details();
     let residuals =
         Some(std::mem::take(&mut ledger.best_residuals)).filter(|residuals| !residuals.is_empty());
@@ -269,7 +293,12 @@ pub(crate) fn conclude(
         |model: &LinearModel| residuals.as_ref().is_some_and(|r| model.jacobian.len() == r.len() * x.len());
     let is_over = || termination == Termination::Interrupted || context.is_over();
     let model = method.linear_model(&RunContext::new().polling(&is_over)).filter(fits);
-    let (jacobian, active) = model.map_or((None, Vec::new()), |model| (Some(model.jacobian), model.active));
+    let (jacobian, active, dependent, multipliers) = match model {
+        Some(LinearModel { jacobian, active, dependent, multipliers }) => {
+            (Some(jacobian), active, dependent, multipliers)
+        }
+        None => (None, Vec::new(), Vec::new(), Vec::new()),
+    };
     Ok(Report {
         message: message(method, ledger, limits, &termination, fun, seconds),
         x,
@@ -304,6 +333,10 @@ pub(crate) fn conclude(
         active,
         loss: RobustLoss::default(),
         resumed: None,
+        constr_violation: ledger.constraints.violation(&ledger.best_constraints),
+        constraints: std::mem::take(&mut ledger.best_constraints),
+        dependent,
+        multipliers: if multipliers.is_empty() { details.multipliers } else { multipliers },
     })
 }
 
@@ -333,6 +366,14 @@ fn message(
         }
         Termination::ConstantCost => {
             with_tests("not informative: the search ended, but the cost did not change".to_owned())
+        }
+        Termination::Infeasible => {
+            let violation = Number(ledger.constraints.violation(&ledger.best_constraints));
+            let tolerance = Number(ledger.constraints.tolerance);
+            with_tests(format!(
+                "not converged: the best point violates a nonlinear constraint by {violation} \
+                 (constraint_tol = {tolerance})"
+            ))
         }
         Termination::Unbounded if fun >= UNBOUNDED => with_tests(
             "not converged: the minimum is at infinity or bounds are missing, because the cost still \

@@ -3,6 +3,7 @@
 
 use crate::error::Error;
 use crate::methods::AnyMethod;
+use crate::problem::constraints::Constraints;
 use crate::run::checkpoint::{Checkpoint, Resume};
 use crate::run::options::{EvaluatedPoint, RunOptions};
 use crate::values::choices::{ParameterKind, Search, StopRule, ToleranceMeasure, Transform};
@@ -31,6 +32,9 @@ pub(super) struct RunRecord {
     stop: Option<StopRule>,
     /// Measure of the tolerances.
     tolerances: Option<ToleranceMeasure>,
+    /// Violation of a nonlinear constraint up to which a point counts as feasible.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    constraint_tol: Option<f64>,
     /// Limit of evaluations.
     #[cfg_attr(feature = "schema", schemars(with = "Option<u64>", range(min = 1)))]
     max_evaluations: Value,
@@ -159,7 +163,7 @@ impl RequestedRun {
     /// # Errors
     /// Returns an error if the options of the method cannot be serialised.
     pub fn record(options: &RunOptions<AnyMethod>) -> Result<Record, Error> {
-        let RunOptions { method, tolerances, limits, checkpoint, evaluated, .. } = options;
+        let RunOptions { method, tolerances, limits, checkpoint, evaluated, constraints, .. } = options;
         let count = |limit: Option<usize>| limit.map_or(Value::Nothing, |n| Value::Count(n as u64));
         let seconds =
             |time: Option<Duration>| time.map_or(Value::Nothing, |time| Value::Number(time.as_secs_f64()));
@@ -171,6 +175,8 @@ impl RequestedRun {
             f_tol: Some(tolerances.f_tol),
             stop: Some(tolerances.stop),
             tolerances: Some(tolerances.measure),
+            constraint_tol: (constraints.tolerance != Constraints::default().tolerance)
+                .then_some(constraints.tolerance),
             max_evaluations: count(limits.max_evaluations),
             max_iterations: count(limits.max_iterations),
             max_time: seconds(limits.max_time),
@@ -224,6 +230,7 @@ impl RequestedRun {
         set(&mut tolerances.f_tol, requested.f_tol);
         set(&mut tolerances.stop, requested.stop);
         set(&mut tolerances.measure, requested.tolerances);
+        set(&mut run.constraints.tolerance, requested.constraint_tol);
         set(&mut run.unlimited, requested.unlimited);
         set(&mut run.evaluated, requested.warm_start);
         limit(&mut limits.max_evaluations, "max_evaluations", &requested.max_evaluations, 1)?;

@@ -8,6 +8,7 @@ use crate::method_interface::interface::{Method, MethodOptions, ProblemClass, Se
 use crate::method_interface::tolerances::Limits;
 use crate::methods::{BoxedMethod, NelderMead};
 use crate::outcome::answer::{Answer, Outcome};
+use crate::problem::constraints::Constraints;
 use crate::problem::loss::RobustLoss;
 use crate::problem::option_texts;
 use crate::problem::space::Bounds;
@@ -68,7 +69,10 @@ impl<M: MethodOptions> Description<M> {
         let is_free = |i: &usize| lower.get(*i) != upper.get(*i);
         let kinds: Vec<ParameterKind> =
             (0..self.kinds.len()).filter(is_free).map(|i| self.kinds[i]).collect();
-        let class = ProblemClass { lower, upper, kinds: &kinds, residuals, search: Search::Local };
+        let constraints = &self.options.constraints;
+        let (linear, nonlinear) = (!constraints.linear.is_empty(), !constraints.nonlinear.is_empty());
+        let search = Search::Local;
+        let class = ProblemClass { lower, upper, kinds: &kinds, residuals, search, linear, nonlinear };
         self.options.choose(&class)
     }
 
@@ -98,6 +102,8 @@ impl<M: MethodOptions> Description<M> {
             space = space.with_kinds(&kinds)?;
         }
         options.check()?;
+        options.constraints.check(x0.len())?;
+        space = space.with_linear(&options.constraints.linear)?;
         if !options.unlimited {
             let (evaluations, iterations) = method.default_limits(space.n_free());
             limits.fill(evaluations, iterations);
@@ -120,6 +126,7 @@ impl<M: MethodOptions> Description<M> {
             start_given,
             prior: prior.iter().map(|point| point.x.clone()).collect(),
             loss,
+            constraints: Constraints { linear: Vec::new(), ..options.constraints.clone() },
             workers: options.workers.unwrap_or(1),
             ..Setup::new(space)
         };
@@ -130,7 +137,7 @@ impl<M: MethodOptions> Description<M> {
             store.pin(x, Answer { residuals: residuals.clone(), ..Outcome::Value(*cost).into() });
         }
         let mut started = StartedRun {
-            method: BoxedMethod::new(method.begin(&setup)?),
+            method: BoxedMethod::new(begin(method, &setup, &options.constraints)?),
             round: CountedBatch::new(Ledger::new(n, options.trace_limit, options.trace_residuals), store),
             limits,
             workers: options.workers.unwrap_or(1),
@@ -145,6 +152,7 @@ impl<M: MethodOptions> Description<M> {
                 .collect(),
             resumed: None,
         };
+        started.round.ledger.constraints = setup.constraints.clone();
         started.round.ledger.trace.set_problem(options.problem.clone());
         let Some(place) = options.checkpoint else { return Ok(started) };
         let words = (started.method.name(), method.describe(), method.plans_with_budget());
@@ -157,6 +165,7 @@ impl<M: MethodOptions> Description<M> {
         if let Some(stored) = checkpoint::read(&place, &fingerprint, setup.seed, n)? {
             started.method = BoxedMethod::new(method.restore(&setup, &stored.method)?);
             started.round = CountedBatch::new(stored.ledger.into_owned(), stored.store.into_owned());
+            started.round.ledger.constraints = setup.constraints.clone();
             started.round.store.forget_aborts();
             started.round.stale = stored.stale;
             let n_finished = stored.finished.len();
@@ -173,6 +182,28 @@ impl<M: MethodOptions> Description<M> {
     }
 }
 
+/// Methods that support each kind of constraints, for messages.
+const FOR_LINEAR: &str = "least-squares, quadratic-model, cma-es, de, ga, nelder-mead or pattern-search";
+const FOR_NONLINEAR: &str = "quadratic-model, cma-es, de or ga";
+
+/// Starts a method that supports the constraints.
+fn begin<M: MethodOptions>(
+    options: &M,
+    setup: &Setup,
+    constraints: &Constraints,
+) -> Result<M::Method, Error> {
+    let method = options.begin(setup)?;
+    let unsupported =
+        |kind, use_instead| Err(Error::NoConstraints { method: method.name(), kind, use_instead });
+    if !constraints.linear.is_empty() && !options.supports_linear() {
+        return unsupported("linear", FOR_LINEAR);
+    }
+    if !constraints.nonlinear.is_empty() && !options.supports_nonlinear() {
+        return unsupported("nonlinear", FOR_NONLINEAR);
+    }
+    Ok(method)
+}
+
 /// Returns the points of earlier runs that are in this space, without duplicates, lowest cost first.
 fn usable<'a>(evaluated: &'a [EvaluatedPoint], space: &Space) -> Vec<&'a EvaluatedPoint> {
     let discrete: Vec<usize> = (0..space.n_free())
@@ -180,7 +211,7 @@ fn usable<'a>(evaluated: &'a [EvaluatedPoint], space: &Space) -> Vec<&'a Evaluat
         .map(|k| space.free()[k])
         .collect();
     let is_inside = |point: &&EvaluatedPoint| {
-        space.bounds().contains(&point.x) && discrete.iter().all(|&i| point.x[i] == point.x[i].round())
+        space.admits(&point.x) && discrete.iter().all(|&i| point.x[i] == point.x[i].round())
     };
     let mut prior: Vec<&EvaluatedPoint> =
         evaluated.iter().filter(|point| point.cost.is_finite()).filter(is_inside).collect();

@@ -4,7 +4,10 @@
 use crate::common;
 
 use common::rosenbrock;
-use dfo::{AnyMethod, CmaBounds, CmaEs, Minimize, PatternSearch, Report, Restarts, Termination, minimize};
+use dfo::{
+    AnyMethod, CmaBounds, CmaEs, Error, Minimize, ParameterKind, PatternSearch, Record, Report, Restarts,
+    Search, Termination, Transform, Value, minimize,
+};
 
 /// Quadratic with condition number 1e6 in reflected axes.
 fn ellipsoid(x: &[f64]) -> f64 {
@@ -170,4 +173,96 @@ fn first_step_is_shortened_quickly_with_many_parameters() {
         let resumed = run(20_000, Some(&file));
         assert_eq!((&resumed.x, resumed.n_evaluations), (&whole.x, whole.n_evaluations));
     }
+}
+
+/// Returns the kinds of `n` parameters, of which the first `n_integer` are integers.
+fn kinds(n: usize, n_integer: usize) -> Vec<ParameterKind> {
+    let kind = |k| if k < n_integer { ParameterKind::Integer } else { ParameterKind::Continuous };
+    (0..n).map(kind).collect()
+}
+
+#[test]
+fn cma_es_finds_integers_of_rotated_ellipsoid() {
+    for (n, n_integer) in [(4, 2), (4, 4), (8, 4)] {
+        for seed in 0..5 {
+            let best: Vec<f64> = (0..n).map(|k| if k < n_integer { 3.0 - k as f64 } else { 0.3 }).collect();
+            let target = best.clone();
+            let cost = move |x: &[f64]| {
+                let z: Vec<f64> = x.iter().zip(&target).map(|(x, t)| x - t).collect();
+                let sum: f64 = z.iter().sum();
+                z.iter().map(|z| z * z).sum::<f64>() + 10.0 * sum * sum
+            };
+            let run = |workers: usize| {
+                let run = minimize(cost.clone()).bounds(&vec![-9.0; n], &vec![11.0; n]).unwrap();
+                let method = CmaEs::default().restarts(Restarts::Ipop).patience(3);
+                run.kinds(&kinds(n, n_integer)).method(method).seed(seed).workers(workers).run().unwrap()
+            };
+            let report = run(1);
+            assert!(report.method == "cma-es" && report.termination == Termination::Converged, "{report}");
+            assert!(report.x[..n_integer] == best[..n_integer] && report.fun < 1e-9, "{report}");
+            assert!(report.trace.iter().all(|e| e.x[..n_integer].iter().all(|x| *x == x.round())));
+            let parallel = run(3);
+            assert_eq!((&parallel.x, parallel.n_evaluations), (&report.x, report.n_evaluations));
+        }
+    }
+}
+
+#[test]
+fn cma_es_handles_logarithmic_open_and_binary_integers() {
+    let cost = |x: &[f64]| {
+        (x[0].ln() - 200f64.ln()).powi(2)
+            + (x[1] + 40.0).powi(2)
+            + (x[2] - 0.8).powi(2)
+            + (x[3] - 0.25).powi(2)
+    };
+    const INF: f64 = f64::INFINITY;
+    let report = minimize(cost)
+        .start(&[1.0, 7.0, 0.0, 1.0])
+        .bounds(&[1.0, -INF, 0.0, -1.0], &[1e4, INF, 1.0, 1.0])
+        .unwrap()
+        .kinds(&kinds(4, 3))
+        .transforms(&[Transform::Log, Transform::Linear, Transform::Linear, Transform::Linear])
+        .method(CmaEs::default())
+        .seed(4)
+        .run()
+        .unwrap();
+    assert_eq!(report.x[..3], [200.0, -40.0, 1.0], "{report}");
+    assert!(report.is_success() && (report.x[3] - 0.25).abs() < 1e-4, "{report}");
+}
+
+#[test]
+fn cma_es_rejects_categorical_parameters_and_de_options_select_de() {
+    let run = |options: &[(&str, Value)], kind| {
+        let record: Record = options.iter().map(|(name, v)| ((*name).to_owned(), v.clone())).collect();
+        let method = AnyMethod::auto(Search::Local).with_options(&record).unwrap();
+        let run = minimize(|x: &[f64]| x[0] * x[0]).bounds(&[-5.0], &[9.0]).unwrap();
+        run.kinds(&[kind]).method(method).seed(1).run().unwrap()
+    };
+    let report = run(&[("p_best", Value::Number(0.2))], ParameterKind::Integer);
+    assert_eq!((&*report.method, report.x[0]), ("de", 0.0));
+    assert_eq!(report.method_reason.as_deref(), Some("the option 'p_best' belongs to de"));
+    let report = run(&[("sigma", Value::Number(0.5))], ParameterKind::Integer);
+    assert_eq!(
+        (&*report.method, report.method_reason.as_deref()),
+        ("cma-es", Some("all parameters are integers with more than two values"))
+    );
+    let categorical = minimize(|x: &[f64]| x[0]).bounds(&[0.0], &[3.0]).unwrap();
+    let categorical = categorical.kinds(&[ParameterKind::Categorical]).method(CmaEs::default());
+    assert!(matches!(categorical.run(), Err(Error::NotContinuous { method: "cma-es", index: 0, .. })));
+}
+
+#[test]
+fn patience_ends_the_run_after_restarts_without_a_better_point() {
+    let sphere = |x: &[f64]| 1.0 + x.iter().map(|x| (x - 0.3).powi(2)).sum::<f64>();
+    let counts: Vec<usize> = [0, 1, 3]
+        .map(|patience| {
+            let method = CmaEs::default().restarts(Restarts::Ipop).patience(patience);
+            let report = boxed(sphere, 2, method).seed(1).run().unwrap();
+            assert!(report.termination == Termination::Converged && report.fun < 1.0 + 1e-9, "{report}");
+            report.n_evaluations
+        })
+        .to_vec();
+    let single = boxed(sphere, 2, CmaEs::default()).seed(1).run().unwrap();
+    assert_eq!(counts[0], single.n_evaluations);
+    assert!(counts[0] < counts[1] && counts[1] < counts[2] && counts[2] < 3000, "{counts:?}");
 }

@@ -27,8 +27,15 @@ fn chosen(json: serde_json::Value) -> Result<(AnyMethod, String), Error> {
 fn chosen_for(mut json: serde_json::Value, residuals: bool) -> Result<(AnyMethod, String), Error> {
     json["method"] = "auto".into();
     let method = requested(json)?.options.method;
-    let class =
-        ProblemClass { lower: &[0.0; 2], upper: &[1.0; 2], kinds: &[], residuals, search: Search::Local };
+    let class = ProblemClass {
+        lower: &[0.0; 2],
+        upper: &[1.0; 2],
+        kinds: &[],
+        residuals,
+        search: Search::Local,
+        linear: false,
+        nonlinear: false,
+    };
     Ok(method.chosen(&class)?.unwrap_or((method, "the choice was not open".to_owned())))
 }
 

@@ -5,6 +5,7 @@
 
 pub mod boxes;
 pub mod calibration;
+pub mod hock_schittkowski;
 pub mod nist;
 pub mod rotated;
 pub mod solve;

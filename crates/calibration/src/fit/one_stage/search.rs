@@ -630,6 +630,8 @@ impl Calibration {
             kinds: &all.filter(is_free).map(|i| self.parameters()[i].value_kind()).collect::<Vec<_>>(),
             residuals: self.has_residuals(objective, start),
             search: Search::Local,
+            linear: !run.constraints.linear.is_empty(),
+            nonlinear: !run.constraints.nonlinear.is_empty(),
         };
         run.choose(&class).map_err(|error| self.name_parameter(error))
     }

@@ -7,6 +7,7 @@
 
 use super::options::CmaBounds;
 use crate::problem::space::{Space, fold};
+use crate::values::choices::ParameterKind;
 
 /// Margin as a fraction of the parameter size or of the width of the box, whichever is smaller. Tuned on
 /// rotated ellipsoids and Rosenbrock's function with 5 and 10 parameters (`benches/dfo/cma_es.py` contains
@@ -22,6 +23,8 @@ pub(super) struct Boundary {
     lower: f64,
     upper: f64,
     margin: f64,
+    /// True for an integer, whose outermost values also collect all points outside the bounds.
+    clamps: bool,
 }
 
 impl Boundary {
@@ -31,14 +34,17 @@ impl Boundary {
             CmaBounds::Smooth => MARGIN * space.size(k).min(upper - lower),
             CmaBounds::Mirror => 0.0,
         };
-        Self { lower, upper, margin }
+        Self { lower, upper, margin, clamps: space.kind(k) != ParameterKind::Continuous }
     }
 
     /// Returns the coordinate for a number. If the number is not finite, `fallback`, another number on the
     /// same line, replaces it.
     pub(super) fn bend(self, v: f64, fallback: f64) -> f64 {
-        let Self { lower, upper, margin } = self;
+        let Self { lower, upper, margin, clamps } = self;
         let fallback = if fallback.is_finite() { fallback } else { 0.0 };
+        if clamps {
+            return if v.is_nan() { fallback } else { v }.clamp(lower, upper);
+        }
         let v = fold(v, lower - margin, upper + margin, fallback.clamp(lower, upper));
         let parabola = |distance: f64| 0.25 * distance * (distance / margin);
         let u = if margin > 0.0 && v < lower + margin {
@@ -53,7 +59,10 @@ impl Boundary {
 
     /// Returns the nearest number that maps to the coordinate.
     pub(super) fn unbend(self, u: f64) -> f64 {
-        let Self { lower, upper, margin } = self;
+        let Self { lower, upper, margin, clamps } = self;
+        if clamps {
+            return u;
+        }
         let root = |distance: f64| 2.0 * margin.sqrt() * distance.max(0.0).sqrt() - margin;
         if u < lower + margin {
             lower + root(u - lower)

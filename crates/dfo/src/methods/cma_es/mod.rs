@@ -26,9 +26,15 @@
 //! unbounded, and a map ([`CmaBounds`]) moves drawn points inside. The map is the identity except near the
 //! bounds.
 //!
+//! **Constraints.** Individuals rank by the cost with additional terms, see `lagrangian.rs`.
+//!
 //! **Failures.** A failed individual ranks last. It is not used to update the mean or the covariance matrix,
 //! not even with a negative weight. The positive weights of the remaining individuals sum to 1. After a
 //! generation without any cost, the mean returns to the best point of the run, and the step size is halved.
+//!
+//! **Integers** are rounded coordinates. Their deviations have a lower limit, and the integers of the better
+//! individuals are centred (`integers.rs`). The tests compare the individuals with the integers of the best
+//! one, and end the search only after other integers have been tried.
 //!
 //! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, is first
 //! varied alone (`shared/size_search.rs`).
@@ -38,6 +44,8 @@
 mod boundary;
 mod continuation;
 mod distribution;
+mod integers;
+mod lagrangian;
 mod options;
 mod restarts;
 mod state;
@@ -68,7 +76,7 @@ impl NeedsSizes for CmaEs {
     type Search = Generations<CmaRules>;
 
     fn search(&self, setup: Setup) -> Result<Self::Search, Error> {
-        let members = self.members(setup.space.n_free())?;
+        let members = self.members(&setup.space)?;
         let seed = setup.seed.unwrap_or_else(draw_seed);
         Ok(CmaRules::begin(self, setup, members, seed))
     }
@@ -83,9 +91,9 @@ impl MethodOptions for CmaEs {
 
     fn begin(&self, setup: &Setup) -> Result<CmaEsState, Error> {
         setup.tolerances.check()?;
-        setup.space.require_continuous("cma-es")?;
+        setup.space.forbid_categorical("cma-es")?;
         let n = setup.space.n_free();
-        let members = self.members(n)?;
+        let members = self.members(&setup.space)?;
         // Population, candidates and batch on two scales, the steps, the matrix, its axes, and the
         // decomposition workspace.
         memory::check("a covariance matrix for this many parameters", &[4, n, n])?;
@@ -102,9 +110,22 @@ impl MethodOptions for CmaEs {
         false
     }
 
+    fn supports_linear(&self) -> bool {
+        true
+    }
+
+    fn supports_nonlinear(&self) -> bool {
+        true
+    }
+
     fn describe(&self) -> Vec<(String, String)> {
-        // Without a lag, the option is omitted, so that runs match files from versions without this option.
-        option_texts::fields(self).into_iter().filter(|(name, _)| self.lag > 0 || name != "lag").collect()
+        // Options at their defaults are omitted, so that runs match files from versions without them.
+        let is_given = |name: &str| match name {
+            "lag" => self.lag > 0,
+            "patience" => self.patience.is_some(),
+            _ => true,
+        };
+        option_texts::fields(self).into_iter().filter(|(name, _)| is_given(name)).collect()
     }
 
     fn default_limits(&self, n: usize) -> (Option<usize>, Option<usize>) {

@@ -1,7 +1,9 @@
 //! Options of CMA-ES.
 
+use super::integers::has_integers;
 use crate::error::Error;
 use crate::methods::shared::population::MAX_MEMBERS;
+use crate::problem::space::Space;
 use serde::{Deserialize, Serialize};
 
 /// Restart policy. After the search has ended, it may restart from another mean with another population size.
@@ -40,7 +42,7 @@ pub enum CmaBounds {
 /// from the middle of the box. From the points of an earlier run, it uses the best. With restarts, the search
 /// continues until a limit ends the run, or until the population has been doubled nine times. Restarts begin
 /// at points drawn in the box. Along a parameter without a box, they are drawn around the start point. The
-/// standard deviation is then the size of the parameter.
+/// standard deviation is then the size of the parameter. Parameters may be integers.
 ///
 /// ```
 /// use dfo::{CmaEs, minimize};
@@ -55,7 +57,8 @@ pub enum CmaBounds {
 #[non_exhaustive]
 pub struct CmaEs {
     /// Number of individuals per generation, at least 2. Default `4 + floor(3 ln n)` for `n` free parameters
-    /// (tutorial, table 1), and at least three quarters of the lag.
+    /// (tutorial, table 1), one and a half times as many with integers, and at least three quarters of the
+    /// lag.
     pub population: Option<usize>,
     /// First standard deviation along each parameter, in units of its size; default 0.3. The size is the
     /// nominal value if given, otherwise the width of the box, otherwise |x0|, otherwise 1. The common unit
@@ -73,6 +76,10 @@ pub struct CmaEs {
     /// worker. A lag of four times the number of workers keeps them busy. This holds even if one evaluation
     /// in ten takes ten times as long (benches/scaling.md).
     pub lag: usize,
+    /// Maximum number of successive restarts without a better point. After them, the run ends. Default
+    /// `None`: no limit. A point counts as better if it decreases the cost by more than the fraction `f_tol`.
+    #[serde(default)]
+    pub patience: Option<usize>,
 }
 
 impl Default for CmaEs {
@@ -83,6 +90,7 @@ impl Default for CmaEs {
             restarts: Restarts::None,
             bounds_handling: CmaBounds::Smooth,
             lag: 0,
+            patience: None,
         }
     }
 }
@@ -123,8 +131,16 @@ impl CmaEs {
         self
     }
 
-    /// Returns the number of individuals for `n` free parameters after checking the options.
-    pub(super) fn members(&self, n: usize) -> Result<usize, Error> {
+    /// Sets the maximum number of successive restarts without a better point.
+    #[must_use]
+    pub fn patience(mut self, restarts: usize) -> Self {
+        self.patience = Some(restarts);
+        self
+    }
+
+    /// Returns the number of individuals for a space after checking the options.
+    pub(super) fn members(&self, space: &Space) -> Result<usize, Error> {
+        let n = space.n_free();
         if !(self.sigma > 0.0 && self.sigma.is_finite()) {
             return Err(Error::Option { name: "sigma", value: self.sigma, range: "positive and finite" });
         }
@@ -133,7 +149,12 @@ impl CmaEs {
             return Err(Error::Option { name: "lag", value: self.lag as f64, range });
         }
         let of_lag = self.lag - self.lag / 4;
-        let members = self.population.unwrap_or(of_lag.max(4 + (3.0 * (n.max(1) as f64).ln()) as usize));
+        let of_tutorial = 4 + (3.0 * (n.max(1) as f64).ln()) as usize;
+        let default = match has_integers(space) {
+            true => of_tutorial + of_tutorial / 2,
+            false => of_tutorial,
+        };
+        let members = self.population.unwrap_or(of_lag.max(default));
         if !(2..=MAX_MEMBERS).contains(&members) {
             let range = "from 2 to a million";
             return Err(Error::Option { name: "population", value: members as f64, range });

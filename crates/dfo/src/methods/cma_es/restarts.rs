@@ -25,6 +25,18 @@ pub(super) struct Schedule {
     n_small: usize,
     n_last_large: usize,
     n_runs: usize,
+    /// Limit of the successive restarts without a better point, and their number so far.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    patience: Option<usize>,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    n_idle: usize,
+    /// Best cost of the runs before the current run; `None` in the first run.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    best: Option<f64>,
+}
+
+fn is_zero(count: &usize) -> bool {
+    *count == 0
 }
 
 impl Schedule {
@@ -39,6 +51,9 @@ impl Schedule {
             n_small: 0,
             n_last_large: 0,
             n_runs: 0,
+            patience: options.patience,
+            n_idle: 0,
+            best: None,
         }
     }
 
@@ -49,6 +64,18 @@ impl Schedule {
         let most = 100.0 + 50.0 * (n as f64 + 3.0).powi(2) / (members as f64).sqrt();
         let spent = self.is_small && n_generations * members >= self.n_last_large / 2;
         self.kind != Restarts::None && (spent || n_generations as f64 > most)
+    }
+
+    /// Records the best cost of the ended run. Returns true if the limit of restarts without a better point
+    /// is reached. A decrease below `least`, the limit of the f test, does not count.
+    pub(super) fn is_out_of_patience(&mut self, cost: f64, least: f64) -> bool {
+        let Some(most) = self.patience else { return false };
+        match self.best {
+            Some(best) if best - cost.min(best) <= least => self.n_idle += 1,
+            _ => self.n_idle = 0,
+        }
+        self.best = Some(self.best.map_or(cost, |best| best.min(cost))).filter(|best| best.is_finite());
+        self.n_idle >= most
     }
 
     /// Returns the population and step size of the next run, if there is one. `n_evaluations` is the number
@@ -95,4 +122,5 @@ pub(super) fn draw_start(space: &Space, stream: &mut Stream, u: &mut [f64]) {
         };
         *u = if drawn.is_finite() { drawn.clamp(lower, upper) } else { *u };
     }
+    space.restore(u);
 }

@@ -2,15 +2,20 @@
 
 use super::boundary::Boundary;
 use super::distribution::{Distribution, TWO_POINTS_FROM};
+use super::integers::{Integers, has_integers};
+use super::lagrangian::Lagrangian;
 use super::options::{CmaBounds, CmaEs};
 use super::restarts::{Schedule, draw_start};
 use super::weights::Weights;
 use crate::method_interface::interface::{Lookahead, Setup};
 use crate::method_interface::rng::{Purpose, Stream};
+use crate::method_interface::tolerances::{TestedSet, ToleranceTests};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::generations::{GenerationRules, Generations, Populations};
 use crate::methods::shared::ranked_points::RankedPoints;
+use crate::outcome::answer::Outcome;
 use crate::outcome::termination::Termination;
+use crate::problem::constraints::Constraints;
 use crate::problem::space::Space;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -55,6 +60,12 @@ pub struct CmaRules {
     /// True if floating-point numbers can no longer resolve the extent of the distribution.
     degenerate: bool,
     schedule: Schedule,
+    /// Rules for integers; `None` if all parameters are continuous.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    integers: Option<Integers>,
+    /// Coefficients of the nonlinear constraints.
+    #[serde(default, skip_serializing_if = "Lagrangian::is_empty")]
+    lagrangian: Lagrangian,
 }
 
 /// Returns the maximum number of individuals drawn ahead of selection for this population size. With twice
@@ -62,6 +73,12 @@ pub struct CmaRules {
 /// `benches/lag.rs`).
 fn most_ahead(lag: usize, members: usize) -> usize {
     lag.min(members + members / 2)
+}
+
+/// Returns the number of generations without a better point after which a run ends if all costs are equal
+/// (Hansen 2009, TolFunHist).
+fn most_flat(n: usize, members: usize) -> usize {
+    10 + (30 * n).div_ceil(members)
 }
 
 /// Converts working coordinates to the coordinates of the distribution.
@@ -113,6 +130,8 @@ impl CmaRules {
             recent: VecDeque::new(),
             degenerate: false,
             schedule: Schedule::new(options, members),
+            integers: Integers::of(space),
+            lagrangian: Lagrangian::new(&setup.constraints, !space.rows().is_empty()),
         };
         let mut population = RankedPoints::new(space, members);
         rules.draw(seed, 0, members, space, &mut population);
@@ -133,14 +152,17 @@ impl CmaRules {
         self.steps.resize(members * n, 0.0);
         self.squared.resize(members, 0.0);
         self.n_earlier = members.min(self.n_ahead(n));
-        let Self { steps, squared, normals, point, distribution, ahead, .. } = self;
+        self.lagrangian.start(members);
+        let Self { steps, squared, normals, point, distribution, ahead, integers, lagrangian, .. } = self;
+        let stretch = |k: usize| integers.as_ref().map_or(1.0, |i| i.stretch(k));
+        let mut drawn = vec![0.0; if space.rows().is_empty() { 0 } else { n }];
         let Distribution { mean, sigma, .. } = &*distribution;
         let boundary = |k| Boundary::new(space, k, self.handling);
         for i in 0..members {
             let step = &mut steps[i * n..(i + 1) * n];
             if i < self.n_earlier {
                 for (k, v) in ahead.drain(..n).enumerate() {
-                    step[k] = (v - mean[k]) / (sigma * space.size(k));
+                    step[k] = (v - mean[k]) / (sigma * space.size(k) * stretch(k));
                     point[k] = boundary(k).bend(v, 0.0);
                 }
                 squared[i] = distribution.inject(step, normals);
@@ -152,8 +174,14 @@ impl CmaRules {
                     distribution.draw_on_line(i == 0, squared[i], step, normals);
                 }
                 for (k, u) in point.iter_mut().enumerate() {
-                    *u = boundary(k).bend(mean[k] + sigma * space.size(k) * step[k], mean[k]);
+                    *u = boundary(k).bend(mean[k] + sigma * space.size(k) * stretch(k) * step[k], mean[k]);
                 }
+            }
+            if !space.satisfies_rows(point) {
+                drawn.copy_from_slice(point);
+                space.restore(point);
+                let moved = drawn.iter().zip(&*point).enumerate();
+                lagrangian.set_moved(i, moved.map(|(k, (v, u))| ((v - u) / space.size(k)).powi(2)).sum());
             }
             into.place(i, point, space);
         }
@@ -162,10 +190,43 @@ impl CmaRules {
             let mut stream = Stream::new(seed, Purpose::Individual, generation + later, slot);
             distribution.draw(&mut stream, normals, point);
             for (k, y) in point.iter().enumerate() {
-                let v = mean[k] + sigma * space.size(k) * y;
+                let v = mean[k] + sigma * space.size(k) * stretch(k) * y;
                 ahead.push_back(if v.is_finite() { v } else { mean[k] });
             }
         }
+    }
+
+    /// Returns the best individual of a generation, with its cost, if it is better than the best point since
+    /// the last restart. Coefficients of constraints change the Lagrangian from generation to generation, so
+    /// this compares costs and violations themselves.
+    fn improved(&mut self, generation: &RankedPoints) -> Option<(usize, f64)> {
+        if self.lagrangian.is_empty() {
+            let slot = generation.best();
+            return Some((slot, generation.cost(slot).value().filter(|cost| *cost < self.best_cost)?));
+        }
+        let (slot, rank) = self.lagrangian.best()?;
+        let stored = match self.lagrangian.best_violation {
+            0.0 => Cost::Value(self.best_cost),
+            violation => Cost::Infeasible(violation),
+        };
+        if !rank.better_than(stored) {
+            return None;
+        }
+        self.lagrangian.best_violation = match rank {
+            Cost::Infeasible(violation) => violation,
+            _ => 0.0,
+        };
+        Some((slot, rank.value().unwrap_or(f64::INFINITY)))
+    }
+
+    /// Ranks a complete generation with nonlinear constraints, and learns from it.
+    fn learn_with_constraints(&mut self, generation: &mut RankedPoints, setup: &Setup) {
+        let Setup { space, constraints, .. } = setup;
+        let n = space.n_free();
+        let variance = (0..n).map(|k| self.distribution.deviation(k).powi(2)).sum::<f64>() / n.max(1) as f64;
+        self.lagrangian.prepare(generation, constraints, (n, variance));
+        self.learn(generation, space);
+        self.lagrangian.adapt(generation, &self.weights, constraints, space.n_free());
     }
 
     /// Returns the number of individuals drawn ahead of selection.
@@ -183,10 +244,15 @@ impl CmaRules {
         }
         let cost = |rank: usize| generation.cost(generation.order()[rank]).value().unwrap_or(f64::INFINITY);
         self.recent.push_back([cost(0), cost(generation.len() / 2)]);
-        if let Some(cost) = generation.cost(generation.best()).value() {
-            if cost < self.best_cost {
+        if generation.cost(generation.best()).is_ranked() {
+            let improved = self.improved(generation);
+            if let Some(integers) = &mut self.integers {
+                let points = improved.map(|(slot, _)| (&*self.best, generation.u(slot)));
+                integers.record_best(points, space);
+            }
+            if let Some((slot, cost)) = improved {
                 self.best_cost = cost;
-                self.best.copy_from_slice(generation.u(generation.best()));
+                self.best.copy_from_slice(generation.u(slot));
                 self.idle = 0;
                 self.recent.clear();
             }
@@ -198,20 +264,29 @@ impl CmaRules {
             self.distribution.retreat(&self.point);
             return;
         }
+        if let Some(integers) = &self.integers {
+            let ranked = &generation.order()[..generation.n_finite()];
+            integers.centre(&self.distribution, space, &self.weights, ranked, &mut self.steps);
+        }
         let step_of =
             |&slot: &usize| Some((self.steps.get(slot * n..(slot + 1) * n)?, *self.squared.get(slot)?));
         let ranked = generation.order()[..generation.n_finite()].iter().filter_map(step_of);
         let lead = (self.lag == 0 && n >= TWO_POINTS_FROM && generation.len() >= LEAST_FOR_TWO_POINTS)
             .then(|| lead(generation));
-        self.distribution.update(&self.weights, ranked, self.n_earlier == 0, lead, |k| space.size(k));
+        let stretch = |k: usize| self.integers.as_ref().map_or(1.0, |integers| integers.stretch(k));
+        self.distribution
+            .update(&self.weights, ranked, self.n_earlier == 0, lead, |k| space.size(k) * stretch(k));
         // If it were wider than the box along every parameter, the distribution would be almost uniform.
         let excess = |k: usize| match space.width(k) {
-            Some(width) => self.distribution.deviation(k) * space.size(k) / (0.5 * width),
+            Some(width) => self.distribution.deviation(k) * stretch(k) * space.size(k) / (0.5 * width),
             None => 0.0,
         };
         let least = (0..n).map(excess).fold(f64::INFINITY, f64::min);
         if least > 1.0 && least.is_finite() {
             self.distribution.sigma /= least;
+        }
+        if let Some(integers) = &mut self.integers {
+            integers.widen(&self.distribution, space, &self.weights);
         }
     }
 
@@ -222,7 +297,11 @@ impl CmaRules {
     fn has_stalled(&self, n: usize, members: usize, is_flat: bool) -> bool {
         let rate = (30 * n).div_ceil(members);
         let most = (120 + rate + self.n_generations / 5).min(MOST_RECENT - 1);
-        if is_flat { self.idle > 10 + rate } else { self.recent.len() > most && !self.falls(most) }
+        if is_flat {
+            self.idle > most_flat(n, members)
+        } else {
+            self.recent.len() > most && !self.falls(most)
+        }
     }
 
     /// True if the best or the median costs decrease over the given number of generations. Compares the
@@ -259,14 +338,33 @@ impl GenerationRules for CmaRules {
     /// Replaces the population by the candidates, whatever their costs.
     fn select(&mut self, pool: &mut Populations) {
         let Populations { setup, population, candidates, .. } = pool;
-        candidates.rank();
-        self.learn(candidates, &setup.space);
+        if self.lagrangian.is_empty() {
+            candidates.rank();
+            self.learn(candidates, &setup.space);
+        } else {
+            self.learn_with_constraints(candidates, setup);
+        }
         std::mem::swap(population, candidates);
     }
 
     fn started(&mut self, pool: &mut Populations) {
-        if pool.population.n_finite() > 0 {
-            self.learn(&pool.population, &pool.setup.space);
+        let Populations { setup, population, .. } = pool;
+        if population.n_finite() == 0 {
+            return;
+        }
+        if self.lagrangian.is_empty() {
+            self.learn(population, &setup.space);
+        } else {
+            self.learn_with_constraints(population, setup);
+        }
+    }
+
+    /// With nonlinear constraints, individuals rank by the augmented Lagrangian.
+    fn cost_of(&mut self, slot: usize, outcome: &Outcome, constraints: &Constraints, values: &[f64]) -> Cost {
+        if self.lagrangian.is_empty() {
+            Cost::of(outcome, constraints, values)
+        } else {
+            self.lagrangian.enter(slot, outcome, constraints, values)
         }
     }
 
@@ -288,6 +386,7 @@ impl GenerationRules for CmaRules {
             for (k, v) in self.ahead.range(i * n..(i + 1) * n).enumerate() {
                 self.point[k] = Boundary::new(space, k, self.handling).bend(*v, 0.0);
             }
+            space.restore(&mut self.point);
             space.to_user(&self.point, &mut x);
             if !found(&x, f64::INFINITY) {
                 break;
@@ -295,7 +394,19 @@ impl GenerationRules for CmaRules {
         }
     }
 
-    fn ended(&mut self, pool: &Populations, _: f64) -> Option<Termination> {
+    /// Tests the individuals with the integers of the best one, because the others differ by whole numbers.
+    fn judge_others(&self, pool: &Populations, f_0: f64) -> Option<ToleranceTests> {
+        let Populations { setup: Setup { space, tolerances, .. }, population, .. } = pool;
+        self.integers.as_ref().map(|_| population.judge(TestedSet::SameIntegers, space, tolerances, f_0))
+    }
+
+    /// True while the integers of the best point are new.
+    fn tries_neighbours(&self, space: &Space) -> bool {
+        let most = most_flat(space.n_free(), self.weights.of_rank.len());
+        self.integers.as_ref().is_some_and(|integers| integers.is_young(most))
+    }
+
+    fn ended(&mut self, pool: &Populations, _: Cost) -> Option<Termination> {
         let Populations { setup: Setup { space, .. }, population, .. } = pool;
         let (n, members) = (space.n_free(), population.len());
         let is_flat = population.f_spread(population.order()) == Some(0.0);
@@ -312,8 +423,12 @@ impl GenerationRules for CmaRules {
         }
     }
 
-    fn restart(&mut self, pool: &Populations) -> bool {
+    fn restart(&mut self, pool: &Populations, f_0: f64) -> bool {
         let (space, n) = (&pool.setup.space, pool.setup.space.n_free());
+        let least = pool.setup.tolerances.judge(0.0, None, self.best_cost, f_0).f_limit;
+        if self.schedule.is_out_of_patience(self.best_cost, least) {
+            return false;
+        }
         let mut stream = Stream::new(pool.seed, Purpose::Restart, 0, self.schedule.n_runs());
         let n_evaluations = self.n_generations * self.weights.of_rank.len();
         let Some((members, sigma)) = self.schedule.next(n_evaluations, &mut stream) else { return false };
@@ -322,7 +437,9 @@ impl GenerationRules for CmaRules {
         let mut mean = self.best.clone();
         unbend(&mut mean, space, self.handling);
         self.distribution = Distribution::new(mean, sigma);
+        self.integers = Integers::of(space);
         self.ahead.clear();
+        self.lagrangian = Lagrangian::new(&pool.setup.constraints, !space.rows().is_empty());
         self.best_cost = f64::INFINITY;
         (self.n_generations, self.idle, self.barren, self.degenerate) = (0, 0, 0, false);
         self.recent.clear();
@@ -339,8 +456,12 @@ impl GenerationRules for CmaRules {
             && (n_drawn == pool.candidates.len() || n_drawn == pool.population.len())
             && [&self.normals, &self.point, &self.best].iter().all(|v| v.len() == n)
             && self.n_earlier <= n_drawn
+            && self.integers.is_some() == has_integers(&pool.setup.space)
+            && self.integers.as_ref().is_none_or(|integers| integers.is_sound(n))
             && (self.ahead.is_empty() || self.ahead.len() == most_ahead(self.lag, members) * n)
             && self.ahead.iter().all(|v| v.is_finite())
             && pool.population.len() >= 1
+            && self.lagrangian.is_sound(&pool.setup.constraints)
+            && self.lagrangian.has_rows() != pool.setup.space.rows().is_empty()
     }
 }

@@ -3,6 +3,7 @@
 
 use super::options::Adaptive;
 use crate::method_interface::rng::Stream;
+use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 use serde::{Deserialize, Serialize};
 
@@ -31,6 +32,29 @@ struct Success {
     f: f64,
     cr: f64,
     gain: f64,
+    /// True if the gain is a decrease of the violation of constraints.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    is_of_violation: bool,
+}
+
+/// Decrease of the cost, or of the violation if the target is infeasible. `None` if the decrease is unknown
+/// or zero.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Gain {
+    decrease: f64,
+    is_of_violation: bool,
+}
+
+impl Gain {
+    pub(super) fn between(before: Cost, after: Cost) -> Option<Self> {
+        let (decrease, is_of_violation) = match (before, after) {
+            (Cost::Value(before), Cost::Value(after)) => (before - after, false),
+            (Cost::Infeasible(before), Cost::Infeasible(after)) => (before - after, true),
+            (Cost::Infeasible(before), Cost::Value(_)) => (before, true),
+            _ => return None,
+        };
+        (decrease > 0.0).then_some(Self { decrease, is_of_violation })
+    }
 }
 
 impl Adaptation {
@@ -107,10 +131,11 @@ impl Adaptation {
         self.archive.len().checked_div(self.n).unwrap_or(0)
     }
 
-    /// Records a trial with a cost strictly below a target with a known cost.
-    pub(super) fn succeeded(&mut self, f: f64, cr: f64, gain: f64, target: &[f64]) {
+    /// Records a trial that ranks strictly better than a target with a known cost or violation.
+    pub(super) fn succeeded(&mut self, f: f64, cr: f64, gain: Gain, target: &[f64]) {
         self.archive.extend_from_slice(target);
-        self.successes.push(Success { f, cr, gain });
+        let Gain { decrease, is_of_violation } = gain;
+        self.successes.push(Success { f, cr, gain: decrease, is_of_violation });
     }
 
     /// Updates the memories with the gain-weighted Lehmer means of the successes of a generation.
@@ -119,8 +144,16 @@ impl Adaptation {
             return;
         }
         // Weights are relative to the largest gain, so that the sum cannot overflow.
-        let largest = self.successes.iter().fold(0.0f64, |m, s| m.max(s.gain));
-        let weight = |s: &Success| if largest.is_finite() { s.gain / largest } else { 1.0 };
+        // Costs and violations have different units.
+        let largest_of = |is_of_violation: bool| {
+            let same_unit = self.successes.iter().filter(|s| s.is_of_violation == is_of_violation);
+            same_unit.fold(0.0f64, |m, s| m.max(s.gain))
+        };
+        let largest = [largest_of(false), largest_of(true)];
+        let weight = |s: &Success| {
+            let largest = largest[usize::from(s.is_of_violation)];
+            if largest.is_finite() { s.gain / largest } else { 1.0 }
+        };
         let lehmer = |value: fn(&Success) -> f64| {
             let (mut squares, mut sum) = (0.0, 0.0);
             for s in &self.successes {
@@ -180,6 +213,23 @@ mod tests {
     use super::*;
     use crate::method_interface::rng::Purpose;
 
+    fn gain(decrease: f64) -> Gain {
+        Gain { decrease, is_of_violation: false }
+    }
+
+    #[test]
+    fn gains_of_costs_and_violations_are_weighed_separately() {
+        let mut a = adaptation();
+        a.succeeded(0.4, 0.2, gain(1e6), &[0.0]);
+        let of_violation = Gain::between(Cost::Infeasible(1e-3), Cost::Value(1e9)).unwrap();
+        a.succeeded(0.8, 0.6, of_violation, &[1.0]);
+        a.learn();
+        // Equal weights: (0.16 + 0.64) / (0.4 + 0.8)
+        assert!((a.memory_f[0] - 0.8 / 1.2).abs() < 1e-15, "{:?}", a.memory_f);
+        assert_eq!(Gain::between(Cost::Failed, Cost::Value(1.0)), None);
+        assert_eq!(Gain::between(Cost::Infeasible(1.0), Cost::Infeasible(1.0)), None);
+    }
+
     fn adaptation() -> Adaptation {
         Adaptation::new(Adaptive::default(), 36, 1000, 1)
     }
@@ -187,8 +237,8 @@ mod tests {
     #[test]
     fn memories_are_weighted_lehmer_means() {
         let mut a = adaptation();
-        a.succeeded(0.4, 0.2, 1.0, &[0.0]);
-        a.succeeded(0.8, 0.6, 3.0, &[1.0]);
+        a.succeeded(0.4, 0.2, gain(1.0), &[0.0]);
+        a.succeeded(0.8, 0.6, gain(3.0), &[1.0]);
         a.learn();
         // (0.25 * 0.16 + 0.75 * 0.64) / (0.25 * 0.4 + 0.75 * 0.8)
         assert!((a.memory_f[0] - 0.52 / 0.7).abs() < 1e-15, "{:?}", a.memory_f);
@@ -203,7 +253,7 @@ mod tests {
         let mut a = adaptation();
         for round in 0..2 {
             a.next = 0;
-            a.succeeded(0.5, if round == 0 { 0.0 } else { 0.9 }, 1.0, &[0.0]);
+            a.succeeded(0.5, if round == 0 { 0.0 } else { 0.9 }, gain(1.0), &[0.0]);
             a.learn();
             assert_eq!(a.memory_cr[0], None);
         }
@@ -221,7 +271,7 @@ mod tests {
     #[test]
     fn archive_size_is_bounded() {
         let mut a = adaptation();
-        (0..100).for_each(|k| a.succeeded(0.5, 0.5, 1.0, &[f64::from(k)]));
+        (0..100).for_each(|k| a.succeeded(0.5, 0.5, gain(1.0), &[f64::from(k)]));
         a.trim_archive(10, &mut Stream::new(1, Purpose::Generation, 0, 0));
         let mut left = a.archive.clone();
         left.dedup();
@@ -231,8 +281,8 @@ mod tests {
     #[test]
     fn memories_stay_finite_when_gain_is_infinite() {
         let mut a = adaptation();
-        a.succeeded(0.4, 0.2, f64::INFINITY, &[0.0]);
-        a.succeeded(0.8, 0.6, 1.0, &[1.0]);
+        a.succeeded(0.4, 0.2, gain(f64::INFINITY), &[0.0]);
+        a.succeeded(0.8, 0.6, gain(1.0), &[1.0]);
         a.learn();
         assert!(a.memory_f[0].is_finite() && a.memory_cr[0].unwrap().is_finite());
     }

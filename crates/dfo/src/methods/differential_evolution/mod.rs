@@ -15,6 +15,10 @@
 //! only the original target. Such a trial replaces the worst member if it is better than that member. An
 //! evaluation may stop above the target's cost (the cutoff). A failed target sets no cutoff.
 //!
+//! **Constraints.** A trial that violates linear constraints moves to the nearest feasible point. With
+//! nonlinear constraints, members rank by the rules of Deb (2000): feasible before infeasible, feasible ones
+//! by cost, infeasible ones by violation. L-SHADE then also learns from decreases of the violation.
+//!
 //! **L-SHADE.** Trials are `x_i + F (x_pbest - x_i) + F (x_r1 - x_r2)` with `x_pbest` among the best `p N`,
 //! and `x_r2` from the population and the archive. `F` and `CR` are drawn around memories of successful
 //! values, weighted by the decrease of the cost. A success over a failed target has no known decrease, so it
@@ -38,7 +42,6 @@ use crate::method_interface::interface::{MethodOptions, Setup};
 use crate::method_interface::rng::draw_seed;
 use crate::methods::shared::generations::Generations;
 use crate::methods::shared::population::MAX_MEMBERS;
-use crate::values::choices::ParameterKind;
 use options::planned;
 use state::DifferentialRules;
 
@@ -50,13 +53,7 @@ impl MethodOptions for DifferentialEvolution {
         self.check()?;
         let (space, name) = (&setup.space, self.name());
         space.require_box(name)?;
-        if let Some(k) = (0..space.n_free()).find(|&k| space.kind(k) == ParameterKind::Categorical) {
-            return Err(Error::NotContinuous {
-                method: name,
-                index: space.free()[k],
-                kind: ParameterKind::Categorical,
-            });
-        }
+        space.forbid_categorical(name)?;
         let n = space.n_free();
         let least = match self.scheme {
             Scheme::Adaptive(a) => a.final_population,
@@ -84,6 +81,14 @@ impl MethodOptions for DifferentialEvolution {
 
     fn needs_start(&self) -> bool {
         false
+    }
+
+    fn supports_linear(&self) -> bool {
+        true
+    }
+
+    fn supports_nonlinear(&self) -> bool {
+        true
     }
 
     fn describe(&self) -> Vec<(String, String)> {

@@ -9,6 +9,9 @@
 //! A thousandth of the largest difference is added, so that the worst member can also be selected. Failed
 //! members are never selected. Members with equal costs have equal fitness.
 //!
+//! **Constraints.** A string that means a point outside linear constraints is evaluated at the nearest
+//! feasible point. With infeasible members, the fitness follows from the ranks by the rules of Deb (2000).
+//!
 //! **Cutoffs**: none, because the fitness of every member counts.
 
 mod coding;
@@ -52,6 +55,14 @@ impl MethodOptions for Genetic {
 
     fn needs_start(&self) -> bool {
         false
+    }
+
+    fn supports_linear(&self) -> bool {
+        true
+    }
+
+    fn supports_nonlinear(&self) -> bool {
+        true
     }
 
     fn describe(&self) -> Vec<(String, String)> {

@@ -17,6 +17,9 @@ const FLOOR: f64 = 1e-3;
 /// the remaining costs are 7e-4, 2e-5, 1e-4, 9e-3 and 9e-3.
 pub(super) fn fitness_sums(population: &RankedPoints, out: &mut Vec<f64>) {
     let cost = |rank: usize| population.cost(population.order()[rank]).value().unwrap_or(0.0);
+    if population.costs.iter().any(|cost| matches!(cost, Cost::Infeasible(_))) {
+        return rank_sums(population, out);
+    }
     let (low, high) = match population.n_finite() {
         0 => (0.0, 0.0),
         n => (cost(0), cost((n - 1) * 7 / 10)),
@@ -30,9 +33,25 @@ pub(super) fn fitness_sums(population: &RankedPoints, out: &mut Vec<f64>) {
             Cost::Value(v) if v > high => FLOOR,
             Cost::Value(v) if range > 0.0 => (0.5 * high - 0.5 * v) / range + FLOOR,
             Cost::Value(_) => 1.0,
-            Cost::Failed | Cost::Pending => 0.0,
+            Cost::Infeasible(_) | Cost::Failed | Cost::Pending => 0.0,
         };
         out.push(sum);
+    }
+}
+
+/// Like [`fitness_sums`], for a population with infeasible members. Costs and violations have different
+/// units, so the fitness decreases linearly with the rank, from 1 to `FLOOR` at the quantile.
+fn rank_sums(population: &RankedPoints, out: &mut Vec<f64>) {
+    let last = ((population.n_finite() - 1) * 7 / 10).max(1) as f64;
+    out.clear();
+    out.resize(population.len(), 0.0);
+    for (rank, &slot) in population.order()[..population.n_finite()].iter().enumerate() {
+        out[slot] = (1.0 - rank as f64 / last).max(0.0) + FLOOR;
+    }
+    let mut sum = 0.0;
+    for fitness in out {
+        sum += *fitness;
+        *fitness = sum;
     }
 }
 

@@ -7,6 +7,7 @@ use crate::error::Error;
 use crate::method_interface::interface::Setup;
 use crate::method_interface::rng::{Purpose, Stream};
 use crate::method_interface::tolerances::{TestedSet, ToleranceTests};
+use crate::methods::shared::cost::Cost;
 use crate::methods::shared::generations::{GenerationRules, Generations, Populations};
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::outcome::termination::Termination;
@@ -45,6 +46,14 @@ pub struct GeneticRules {
     /// Number of generations since the best point changed, and its cost at that time.
     idle: usize,
     idle_since: f64,
+    /// Violation of the best point at that time; 0 if it satisfies the constraints.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    idle_violation: f64,
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 impl GeneticRules {
@@ -72,6 +81,7 @@ impl GeneticRules {
             // A sampled point moves to the point encoded by its string. A given point is evaluated unchanged.
             if slot >= n_exact {
                 coding.decode(&setup.space, string, &mut decoded);
+                setup.space.restore(&mut decoded);
                 population.place(slot, &decoded, &setup.space);
             }
         }
@@ -88,8 +98,16 @@ impl GeneticRules {
             decoded,
             idle: 0,
             idle_since: f64::INFINITY,
+            idle_violation: 0.0,
         };
         Ok(Generations::new(rules, pool))
+    }
+
+    fn set_idle_since(&mut self, best: Cost) {
+        (self.idle_since, self.idle_violation) = match best {
+            Cost::Infeasible(violation) => (f64::INFINITY, violation),
+            best => (best.value().unwrap_or(f64::INFINITY), 0.0),
+        };
     }
 }
 
@@ -124,6 +142,8 @@ impl GenerationRules for GeneticRules {
         for slot in 0..candidates.len() {
             let string = &self.child_bits[slot * length..(slot + 1) * length];
             self.coding.decode(&setup.space, string, &mut self.decoded);
+            // The nearest feasible point, so that a string always means the same point.
+            setup.space.restore(&mut self.decoded);
             candidates.place(slot, &self.decoded, &setup.space);
         }
     }
@@ -157,12 +177,16 @@ impl GenerationRules for GeneticRules {
         for member in 0..population.len() {
             self.best_seen.take_better(population, member);
         }
-        self.idle_since = population.cost(population.best()).value().unwrap_or(f64::INFINITY);
+        self.set_idle_since(population.cost(population.best()));
     }
 
-    fn ended(&mut self, pool: &Populations, best: f64) -> Option<Termination> {
-        self.idle = if best < self.idle_since { 0 } else { self.idle + 1 };
-        self.idle_since = best;
+    fn ended(&mut self, pool: &Populations, best: Cost) -> Option<Termination> {
+        let before = match self.idle_violation {
+            violation if violation > 0.0 => Cost::Infeasible(violation),
+            _ => Cost::Value(self.idle_since),
+        };
+        self.idle = if best.better_than(before) { 0 } else { self.idle + 1 };
+        self.set_idle_since(best);
         if self.options.stall.is_some_and(|limit| self.idle >= limit) {
             return Some(Termination::Stalled);
         }
@@ -178,7 +202,7 @@ impl GenerationRules for GeneticRules {
     /// Tests the best points seen. The population itself is a poor measure of convergence. Copies of one
     /// point fill it long before the minimum is found. Later, most children differ from their parents in a
     /// significant bit. Discrete parameters may have too few distinct points to compare.
-    fn judge_best_seen(&self, setup: &Setup, f_0: f64) -> Option<ToleranceTests> {
+    fn judge_others(&self, Populations { setup, .. }: &Populations, f_0: f64) -> Option<ToleranceTests> {
         let space = &setup.space;
         let continuous = (0..space.n_free()).all(|k| space.kind(k) == ParameterKind::Continuous);
         continuous.then(|| self.best_seen.judge(TestedSet::BestSeen, space, &setup.tolerances, f_0))

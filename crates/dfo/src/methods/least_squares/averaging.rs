@@ -95,8 +95,8 @@ impl LeastSquaresState {
                 }
                 _ => {}
             }
-            let (lower, upper) = self.space_around(&averaging.centre);
-            let (step, predicted) = regression.minimise(averaging.radius, &lower, &upper);
+            let room = self.room_around(&averaging.centre);
+            let (step, predicted) = regression.minimise(averaging.radius, &room);
             averaging.centre = sum(&averaging.centre, &step);
             let best_point = self.best_of(0..self.points.len()).unwrap_or(0);
             let best = self.points[best_point].cost;
@@ -110,7 +110,7 @@ impl LeastSquaresState {
             // Include decreases beyond the radius.
             let wide = averaging.radius.max(self.options.radius);
             let is_reliable = is_straight && averaging.n_requested >= FEWEST * (n + 1) && predicted <= most;
-            let ends = is_reliable && regression.minimise(wide, &lower, &upper).1 <= most;
+            let ends = is_reliable && regression.minimise(wide, &room).1 <= most;
             if may_end && (ends || self.is_halted(MOST_WITHOUT_GAIN)) {
                 self.phase = Phase::Ended(self.end_in_noise(best_point));
                 return;

@@ -11,6 +11,9 @@
 //! the best one shows noise, the models become regressions on all nearby points (`averaging.rs`). Then each
 //! round contains one point. Steps stay on one side of a plane that separates failed points from the others.
 //! If this makes no progress, Nelder-Mead continues from a good point away from the failed points.
+//!
+//! All points satisfy the linear inequalities. Steps, distances of the minimum and the directions of geometry
+//! points respect them like bounds (`Room` in `subproblem.rs`).
 
 mod averaging;
 mod interpolation;
@@ -53,6 +56,10 @@ impl MethodOptions for LeastSquares {
 
     fn describe(&self) -> Vec<(String, String)> {
         option_texts::fields(self)
+    }
+
+    fn supports_linear(&self) -> bool {
+        true
     }
 
     fn needs_residuals(&self) -> bool {

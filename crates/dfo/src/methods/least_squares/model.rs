@@ -1,7 +1,7 @@
 //! Regression models of the residuals on many points.
 
 use super::points::norm;
-use super::subproblem::{Linear, Subproblem, smallest_singular_value};
+use super::subproblem::{Linear, Room, Subproblem, smallest_singular_value};
 use nalgebra::{DMatrix, DVector};
 
 /// Maximum number of steps to the minimum of a quadratic model of the residuals.
@@ -111,18 +111,16 @@ impl Regression {
         if smallest > 0.0 { self.excess.sqrt() / smallest } else { f64::INFINITY }
     }
 
-    /// Returns the displacement within a ball and a box that minimises the model, and the decrease from the
+    /// Returns the displacement within a ball and a room that minimises the model, and the decrease from the
     /// centre.
-    pub(super) fn minimise(&self, radius: f64, lower: &[f64], upper: &[f64]) -> (Vec<f64>, f64) {
-        let n = lower.len();
+    pub(super) fn minimise(&self, radius: f64, room: &Room) -> (Vec<f64>, f64) {
+        let n = room.lower.len();
         let first = self.residuals(&vec![0.0; n]).norm_squared();
         let (mut best, mut cost, mut reach) = (vec![0.0; n], first, radius);
         for _ in 0..MOST_INNER {
-            let ends = |ends: &[f64]| ends.iter().zip(&best).map(|(end, w)| end - w).collect::<Vec<f64>>();
-            let (lower, upper) = (ends(lower), ends(upper));
             let linear = self.linear(&best);
-            let (step, _) =
-                Subproblem { linear: &linear, radius: reach, lower: &lower, upper: &upper }.solve();
+            let room = room.after(&best);
+            let (step, _) = Subproblem { linear: &linear, radius: reach, room: &room }.solve();
             let mut next: Vec<f64> = best.iter().zip(&step).map(|(w, s)| w + s).collect();
             let length = norm(&next);
             if length > radius {

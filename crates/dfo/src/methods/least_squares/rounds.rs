@@ -123,8 +123,8 @@ impl LeastSquaresState {
         let linear = self.linear_of_rounds(&rounds, base, context)?;
         let Evaluated { z, cost, residuals, .. } = &self.points[base];
         let (z, f, m) = (z.clone(), *cost, residuals.len());
-        let (lower, upper) = self.space_around(&z);
-        let best = |radius: f64| Subproblem { linear: &linear, radius, lower: &lower, upper: &upper }.solve();
+        let room = self.room_around(&z);
+        let best = |radius: f64| Subproblem { linear: &linear, radius, room: &room }.solve();
         let (step, predicted) = best(self.delta);
         let length = norm(&step);
         let tests = self.judge(length, predicted, f);
@@ -160,28 +160,30 @@ impl LeastSquaresState {
             }
         }
         let centre = if rounds.around.is_some() { z } else { self.round[0].z.clone() };
-        self.ask_differences(&rounds, &centre);
-        self.phase = Phase::Rounds(rounds);
+        if self.ask_differences(&rounds, &centre) {
+            self.phase = Phase::Rounds(rounds);
+        } else {
+            self.round.clear();
+            self.leave_rounds(&rounds, base);
+        }
         Ok(())
     }
 
     /// Requests the neighbours of a centre, and a point beyond the first neighbour if the noise has not been
-    /// checked.
-    fn ask_differences(&mut self, rounds: &Rounds, centre: &[f64]) {
+    /// checked. Returns false if linear inequalities block a coordinate on both sides.
+    fn ask_differences(&mut self, rounds: &Rounds, centre: &[f64]) -> bool {
         let n = self.n();
-        let neighbour = |state: &Self, k: usize, by: f64| {
+        let room = self.room_around(centre);
+        for (k, by) in (0..n).map(|k| (k, 1.0)).chain((!rounds.is_checked).then_some((0, 2.0))) {
             let unit: Vec<f64> = (0..n).map(|j| if j == k { 1.0 } else { 0.0 }).collect();
-            let length = by * rounds.step * state.magnitude(centre, k).max(1.0);
-            sum(centre, &state.fitted(centre, &unit, length))
-        };
-        for k in 0..n {
-            let z = neighbour(self, k, 1.0);
-            self.ask_for(z, Role::Difference);
+            let length = by * rounds.step * self.magnitude(centre, k).max(1.0);
+            let step = room.along(&unit, length);
+            if (0..n).any(|j| j != k && step[j] != 0.0) {
+                return false;
+            }
+            self.ask_for(sum(centre, &step), if by == 1.0 { Role::Difference } else { Role::Check });
         }
-        if !rounds.is_checked {
-            let z = neighbour(self, 0, 2.0);
-            self.ask_for(z, Role::Check);
-        }
+        true
     }
 
     /// Continues with steps on interpolation models.

@@ -4,7 +4,8 @@
 
 use super::interpolation::Interpolation;
 use super::options::{LeastSquares, StepPlan};
-use super::points::{Evaluated, distance, sum_of_squares};
+use super::points::{Evaluated, distance, norm, sum_of_squares};
+use super::subproblem::Room;
 use crate::error::Error;
 use crate::method_interface::interface::{
     Batch, Lookahead, Method, MethodDetails, Operation, Setup, Status, saved,
@@ -14,6 +15,7 @@ use crate::method_interface::tolerances::{TestedSet, ToleranceTests};
 use crate::methods::nelder_mead::{NelderMead, SimplexSearch};
 use crate::outcome::answer::{Answers, Best, EvaluationKind};
 use crate::outcome::termination::Termination;
+use crate::problem::constraints::quadratic_program::HalfSpace;
 use crate::problem::memory;
 use crate::problem::space::clamp;
 use crate::values::choices::ToleranceMeasure;
@@ -304,6 +306,7 @@ impl LeastSquaresState {
                 && z.iter().all(|z| z.is_finite())
                 && x.len() == n_user
                 && setup.space.bounds().contains(x)
+                && (!setup.space.has_linear() || setup.space.admits(x))
         };
         let is_candidate = |c: &Candidate| {
             is_place(&c.z, &c.x)
@@ -352,7 +355,8 @@ impl LeastSquaresState {
     fn neighbour(&self, coordinate: Option<usize>, retries: u32) -> Vec<f64> {
         let mut z = vec![0.0; self.n()];
         if let Some(k) = coordinate {
-            let (below, above) = self.space_around(&z);
+            let room = self.room_around(&z);
+            let (below, above) = (&room.lower, &room.upper);
             let nearer: f64 = if self.setup.space.size_is_unknown(k) { 0.03 } else { 0.5 };
             let length = self.delta * nearer.powi((retries / 2) as i32);
             let forward = if above[k] >= length || above[k] >= -below[k] { 1.0 } else { -1.0 };
@@ -360,6 +364,10 @@ impl LeastSquaresState {
             z[k] = (sign * length).clamp(below[k], above[k]);
             if z[k] == 0.0 {
                 z[k] = (-sign * length).clamp(below[k], above[k]);
+            }
+            if !room.rows.iter().all(|row| row.contains(&z)) {
+                let unit: Vec<f64> = (0..z.len()).map(|j| if j == k { 1.0 } else { 0.0 }).collect();
+                z = room.along(&unit, z[k]);
             }
         }
         z
@@ -380,7 +388,8 @@ impl LeastSquaresState {
             let near = |bound: f64| (u - bound).abs() <= 8.0 * f64::EPSILON * bound.abs().max(size);
             [lower, upper].into_iter().find(|bound| bound.is_finite() && near(*bound)).unwrap_or(u)
         };
-        let u: Vec<f64> = z.iter().enumerate().map(inside).collect();
+        let mut u: Vec<f64> = z.iter().enumerate().map(inside).collect();
+        space.restore(&mut u);
         let mut x = vec![0.0; space.n()];
         space.to_user(&u, &mut x);
         (u.iter().enumerate().map(|(k, u)| self.scaled(k, *u)).collect(), x)
@@ -416,13 +425,24 @@ impl LeastSquaresState {
         ToleranceTests { extent: TestedSet::Model, is_of_squares: self.has_other_cost, ..tests }
     }
 
-    /// Returns the lower and upper bounds on a step from a point along each coordinate.
-    pub(super) fn space_around(&self, z: &[f64]) -> (Vec<f64>, Vec<f64>) {
+    /// Returns the bounds and the linear inequalities for steps from a point.
+    pub(super) fn room_around(&self, z: &[f64]) -> Room {
+        let space = &self.setup.space;
         let ends = |(k, z): (usize, &f64)| {
-            let (lower, upper) = self.setup.space.working_bounds(k);
+            let (lower, upper) = space.working_bounds(k);
             ((self.scaled(k, lower) - z).min(0.0), (self.scaled(k, upper) - z).max(0.0))
         };
-        z.iter().enumerate().map(ends).unzip()
+        let (lower, upper) = z.iter().enumerate().map(ends).unzip();
+        let u: Vec<f64> = (0..z.len()).map(|k| self.origin[k] + z[k] * space.size(k)).collect();
+        let row = |row: &HalfSpace| {
+            let normal: Vec<f64> = row.normal.iter().enumerate().map(|(k, a)| a * space.size(k)).collect();
+            let (length, limit) = (norm(&normal), row.limit - row.value(&u));
+            HalfSpace {
+                normal: normal.iter().map(|a| a / length).collect(),
+                limit: (limit / length).max(0.0),
+            }
+        };
+        Room { lower, upper, rows: space.rows().iter().map(row).collect() }
     }
 
     /// Returns the point with the smallest sum of squares, the oldest if they are equal.
@@ -705,7 +725,20 @@ impl Method for LeastSquaresState {
         let best = self.best_of(0..self.points.len())?;
         let jacobian = self.jacobian(best, context)?;
         let (space, Evaluated { x, residuals, .. }) = (&self.setup.space, &self.points[best]);
-        LinearModel::new(space, x, residuals.len(), |i, k| jacobian[(i, k)] / space.size(k))
+        let derivative = |i: usize, k: usize| jacobian[(i, k)] / space.size(k);
+        let mut model = LinearModel::new(space, x, residuals.len(), derivative)?;
+        if space.has_linear() {
+            let gradient =
+                |k: usize| residuals.iter().enumerate().map(|(i, r)| 2.0 * r * derivative(i, k)).sum();
+            let hessian = |k: usize, j: usize| {
+                (0..residuals.len()).map(|i| 2.0 * derivative(i, k) * derivative(i, j)).sum()
+            };
+            model.constrain(space, x, gradient, hessian);
+            if self.has_other_cost {
+                model.multipliers.clear();
+            }
+        }
+        Some(model)
     }
 
     fn save(&self) -> Option<Vec<u8>> {

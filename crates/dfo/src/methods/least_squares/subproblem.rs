@@ -1,10 +1,12 @@
-//! The step of a Gauss-Newton model within a ball and a box.
+//! The step of a Gauss-Newton model within a ball, a box and linear inequalities.
 
+use super::points::{difference, dot, norm};
 use super::triangle::{
     Triangle, add_product, diagonal, rows_at_once, solve, solve_transposed, times_transposed, without,
 };
+use crate::problem::constraints::quadratic_program::{self, HalfSpace, Solution};
 use base::RunContext;
-use nalgebra::{DMatrix, DVector, SVD};
+use nalgebra::{Cholesky, DMatrix, DVector, SVD};
 use std::borrow::Cow;
 
 /// Maximum number of Newton steps for the multiplier of the ball. From a good bracket, three or four are
@@ -20,6 +22,15 @@ const MOST_SWEEPS: usize = 100;
 const SUBSPACE: usize = 12;
 /// Number of inverse iterations for the smallest singular value of a triangle.
 const INVERSE_STEPS: usize = 10;
+
+/// Ratio of the diagonal entries of a triangle below which the step needs a least multiplier.
+const REGULAR: f64 = 1e-10;
+/// Relative accuracy of the length of a step that ends at the ball, if rows are active.
+const ON_BALL: f64 = 1e-3;
+/// Share of the length of a step below which rows count as blocking it.
+const NARROW: f64 = 0.1;
+/// Distances, in units of the radius, of the points whose nearest feasible points are compared.
+const FAR_AWAY: [f64; 4] = [1.0, 4.0, 16.0, 64.0];
 
 /// The run was interrupted.
 #[derive(Debug, Clone, Copy)]
@@ -103,30 +114,185 @@ impl Linear {
     }
 }
 
-/// A step from the best point with `|s| <= radius` and `lower <= s <= upper` at which `|r + J s|` is (nearly)
-/// minimal.
+/// Steps from a point that stay in the box and satisfy the linear inequalities.
+#[derive(Debug, Clone)]
+pub(super) struct Room {
+    pub(super) lower: Vec<f64>,
+    pub(super) upper: Vec<f64>,
+    /// Linear inequalities, with normals of length 1. The step 0 satisfies them.
+    pub(super) rows: Vec<HalfSpace>,
+}
+
+impl Room {
+    /// Returns the room around the end of a step.
+    pub(super) fn after(&self, step: &[f64]) -> Self {
+        let row = |row: &HalfSpace| HalfSpace { limit: row.limit - row.value(step), ..row.clone() };
+        Self {
+            lower: difference(&self.lower, step),
+            upper: difference(&self.upper, step),
+            rows: self.rows.iter().map(row).collect(),
+        }
+    }
+
+    /// Returns the rows and the finite bounds.
+    pub(super) fn half_spaces(&self) -> Vec<HalfSpace> {
+        let bounds = (0..self.lower.len()).flat_map(|k| [(k, 1.0, self.upper[k]), (k, -1.0, -self.lower[k])]);
+        let bounds = bounds.filter(|(.., limit)| limit.is_finite()).map(|(k, sign, limit)| {
+            let mut normal = vec![0.0; self.lower.len()];
+            normal[k] = sign;
+            HalfSpace { normal, limit }
+        });
+        self.rows.iter().cloned().chain(bounds).collect()
+    }
+
+    /// Clamps a step to the box, and ends it at the first row.
+    pub(super) fn clipped(&self, step: &[f64]) -> Vec<f64> {
+        let clamped = step.iter().enumerate().map(|(k, s)| s.clamp(self.lower[k], self.upper[k]));
+        let mut step: Vec<f64> = clamped.collect();
+        let share = self.rows.iter().fold(1.0f64, |share, row| {
+            let value = row.value(&step);
+            if value > row.limit { share.min(row.limit.max(0.0) / value) } else { share }
+        });
+        if share < 1.0 {
+            step.iter_mut().for_each(|s| *s *= share);
+        }
+        step
+    }
+
+    /// Returns the nearest step to the given one.
+    fn nearest(&self, step: &[f64]) -> Vec<f64> {
+        let gradient: Vec<f64> = step.iter().map(|s| -s).collect();
+        quadratic_program::identity(step.len())
+            .and_then(|hessian| quadratic_program::minimize(&hessian, &gradient, &self.half_spaces()))
+            .map_or_else(|| vec![0.0; step.len()], |solution| solution.x)
+    }
+
+    /// Returns a step of the given length along a unit vector or opposite to it, on the side with more space.
+    /// If rows leave little space on both sides, the step slides along them.
+    pub(super) fn along(&self, direction: &[f64], length: f64) -> Vec<f64> {
+        let wanted = |sign: f64| direction.iter().map(|d| sign * length * d).collect::<Vec<f64>>();
+        let better = |forth: Vec<f64>, back: Vec<f64>, size: &dyn Fn(&[f64]) -> f64| {
+            if size(&back) > size(&forth) { back } else { forth }
+        };
+        let straight = better(self.clipped(&wanted(1.0)), self.clipped(&wanted(-1.0)), &norm);
+        if self.rows.is_empty() || norm(&straight) >= NARROW * length.abs() {
+            return straight;
+        }
+        // The nearest step to `w` has a component along `w`, or the nearest step to `-w` has one along `-w`.
+        let along = |step: &[f64]| dot(step, direction).abs();
+        better(straight, better(self.nearest(&wanted(1.0)), self.nearest(&wanted(-1.0)), &along), &along)
+    }
+
+    /// Returns the rows and bounds that hold a minimum of `|r + J s|` with this gradient at the end of a
+    /// step: the distance to them is below `near`, and their multipliers exceed `least`.
+    pub(super) fn holding(&self, step: &[f64], gradient: &[f64], near: f64, least: f64) -> Vec<HalfSpace> {
+        let active: Vec<HalfSpace> = self
+            .after(step)
+            .half_spaces()
+            .into_iter()
+            .filter(|row| row.limit <= near)
+            .map(|row| HalfSpace { limit: 0.0, ..row })
+            .collect();
+        let found = quadratic_program::identity(step.len())
+            .and_then(|hessian| quadratic_program::minimize(&hessian, gradient, &active));
+        let multipliers = found.map_or_else(Vec::new, |solution| solution.active);
+        let holds = multipliers.into_iter().filter(|(_, multiplier)| *multiplier > least);
+        holds.map(|(row, _)| active[row].clone()).collect()
+    }
+}
+
+/// A step from the best point in a [`Room`] with `|s| <= radius` at which `|r + J s|` is (nearly) minimal.
 ///
 /// The problem in the ball alone is solved exactly with the singular values of `J` (Moré and Sorensen 1983,
 /// with `J'J` in place of the Hessian). If the solution leaves the box, the coordinate that reaches its bound
-/// first is fixed there. The remaining problem is then solved again.
+/// first is fixed there. The remaining problem is then solved again. If the solution violates linear
+/// inequalities, the multiplier of the ball is the root of the length of the solutions of quadratic programs.
 pub(super) struct Subproblem<'a> {
     pub(super) linear: &'a Linear,
     pub(super) radius: f64,
-    pub(super) lower: &'a [f64],
-    pub(super) upper: &'a [f64],
+    pub(super) room: &'a Room,
 }
 
 impl Subproblem<'_> {
     /// Returns the step, and the predicted decrease of the sum of squares.
     pub(super) fn solve(&self) -> (Vec<f64>, f64) {
+        let (step, decrease) = self.solve_in_box();
+        if self.room.rows.iter().all(|row| row.contains(&step)) {
+            return (step, decrease);
+        }
+        let step = self.solve_in_rows().unwrap_or_else(|| vec![0.0; step.len()]);
+        let decrease = self.linear.decrease(&step);
+        if decrease > 0.0 && decrease.is_finite() { (step, decrease) } else { (vec![0.0; step.len()], 0.0) }
+    }
+
+    /// Returns the step in the ball, the box and the rows. The minimum of `|r + J s|^2 + multiplier |s|^2` in
+    /// box and rows is a quadratic program. Newton's method finds the multiplier at which its length is the
+    /// radius.
+    fn solve_in_rows(&self) -> Option<Vec<f64>> {
+        let (Linear { factor, reached }, radius) = (self.linear, self.radius);
+        let (m, n) = factor.shape();
+        let gradient = transposed_product(factor, reached);
+        let rows = self.room.half_spaces();
+        // The factor of the Hessian comes from the Jacobian, without squares of it.
+        let hessian = |multiplier: f64| {
+            let mut all = factor.clone().resize_vertically(m + n, 0.0);
+            (0..n).for_each(|k| all[(m + k, k)] = multiplier.sqrt());
+            Cholesky::<f64, nalgebra::Dyn>::pack_dirty(all.qr().r().transpose())
+        };
+        let is_regular = factor.is_square() && {
+            let (least, most) = diagonal(factor);
+            least > REGULAR * most
+        };
+        let least = if is_regular { 0.0 } else { (REGULAR * factor.norm()).powi(2) };
+        let (mut low, mut high) = (least, gradient.norm() / radius);
+        let mut multiplier = least;
+        for _ in 0..MOST_STEPS {
+            let hessian = hessian(multiplier);
+            let Solution { mut x, active } =
+                quadratic_program::minimize(&hessian, gradient.as_slice(), &rows)?;
+            let length = norm(&x);
+            if (length <= radius && (multiplier == least || length >= (1.0 - ON_BALL) * radius))
+                || high <= low * (1.0 + f64::EPSILON)
+            {
+                return Some(x);
+            }
+            if length > radius && length <= (1.0 + ON_BALL) * radius {
+                x.iter_mut().for_each(|x| *x *= radius / length);
+                return Some(x);
+            }
+            if length > radius {
+                low = multiplier
+            } else {
+                high = multiplier
+            }
+            // The derivative of the length, in the null space of the active rows.
+            let turned = |v: &[f64]| {
+                let mut v = DVector::from_column_slice(v);
+                hessian.l_dirty().solve_lower_triangular_mut(&mut v);
+                v
+            };
+            let mut rest = turned(&x);
+            if !active.is_empty() {
+                let normals: Vec<_> = active.iter().map(|(row, _)| turned(&rows[*row].normal)).collect();
+                let q = DMatrix::from_columns(&normals).qr().q();
+                rest -= &q * q.tr_mul(&rest);
+            }
+            let next = multiplier + (length / radius - 1.0) * length * length / rest.norm_squared();
+            let middle = (low.max(f64::EPSILON * high) * high).sqrt();
+            multiplier = if next > low && next < high { next } else { middle };
+        }
+        None
+    }
+
+    fn solve_in_box(&self) -> (Vec<f64>, f64) {
+        let (lower, upper) = (&self.room.lower, &self.room.upper);
         let Linear { factor, reached } = self.linear;
         let n = factor.ncols();
         let gradient = transposed_product(factor, reached);
         let mut step = vec![0.0; n];
         // At a bound, and the descent direction leaves the box.
-        let blocked = |k: usize| {
-            (self.lower[k] >= 0.0 && gradient[k] > 0.0) || (self.upper[k] <= 0.0 && gradient[k] < 0.0)
-        };
+        let blocked =
+            |k: usize| (lower[k] >= 0.0 && gradient[k] > 0.0) || (upper[k] <= 0.0 && gradient[k] < 0.0);
         let mut free: Vec<usize> = (0..n).filter(|&k| !blocked(k)).collect();
         let mut left = self.radius * self.radius;
         let (mut a, mut rest) = (Cow::Borrowed(factor), Cow::Borrowed(reached));
@@ -138,7 +304,7 @@ impl Subproblem<'_> {
             let part = within_ball(&a, &rest, left.sqrt());
             let share = |(place, &k): (usize, &usize)| {
                 let s = part[place];
-                let bound = if s > 0.0 { self.upper[k] } else { self.lower[k] };
+                let bound = if s > 0.0 { upper[k] } else { lower[k] };
                 if s != 0.0 && (bound / s) < 1.0 { bound / s } else { 1.0 }
             };
             let shares: Vec<f64> = free.iter().enumerate().map(share).collect();
@@ -154,7 +320,7 @@ impl Subproblem<'_> {
                     kept.push(place);
                     continue;
                 }
-                step[k] = if part[place] > 0.0 { self.upper[k] } else { self.lower[k] };
+                step[k] = if part[place] > 0.0 { upper[k] } else { lower[k] };
                 left -= step[k] * step[k];
                 reached += a.column(place) * step[k];
             }
@@ -329,8 +495,24 @@ fn on_the_ball(a: DMatrix<f64>, r: &DVector<f64>, radius: f64) -> DVector<f64> {
 }
 
 /// Returns the point of a ball and a box that maximises `|g s|`. The point is along `g` or opposite to `g`,
-/// with coordinates that exceed their bounds fixed there. `other` selects the opposite side.
-pub(super) fn longest(g: &[f64], radius: f64, lower: &[f64], upper: &[f64], other: bool) -> Vec<f64> {
+/// with coordinates that exceed their bounds fixed there. `other` selects the opposite side. With rows, the
+/// point is (nearly) maximal: the best one of the nearest feasible points to several multiples of `g`.
+pub(super) fn longest(g: &[f64], radius: f64, room: &Room, other: bool) -> Vec<f64> {
+    let Room { lower, upper, rows } = room;
+    let value = |step: &[f64]| g.iter().zip(step).map(|(g, s)| g * s).sum::<f64>().abs();
+    let in_rows = |sign: f64| {
+        let unit = sign * radius / norm(g);
+        let at = |far: &f64| {
+            let mut step = room.nearest(&g.iter().map(|g| far * unit * g).collect::<Vec<f64>>());
+            let share = radius / norm(&step);
+            if share < 1.0 {
+                step.iter_mut().for_each(|s| *s *= share);
+            }
+            step
+        };
+        let all = FAR_AWAY.iter().map(at);
+        all.reduce(|best, next| if value(&next) > value(&best) { next } else { best }).unwrap_or_default()
+    };
     let along = |sign: f64| {
         let mut step = vec![0.0; g.len()];
         let mut free: Vec<usize> = (0..g.len()).filter(|&k| g[k] != 0.0).collect();
@@ -350,9 +532,8 @@ pub(super) fn longest(g: &[f64], radius: f64, lower: &[f64], upper: &[f64], othe
             }
             left = radius * radius - step.iter().map(|s| s * s).sum::<f64>();
         }
-        step
+        if rows.iter().all(|row| row.contains(&step)) { step } else { in_rows(sign) }
     };
-    let value = |step: &[f64]| g.iter().zip(step).map(|(g, s)| g * s).sum::<f64>().abs();
     let (forth, back) = (along(1.0), along(-1.0));
     if (value(&back) > value(&forth)) != other { back } else { forth }
 }

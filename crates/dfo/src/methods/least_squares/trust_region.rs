@@ -4,12 +4,13 @@
 use super::interpolation::{Interpolation, NewPoint, Place, combine};
 use super::points::{Evaluated, Selection, difference, distance, dot, norm, sum};
 use super::state::{Candidate, LeastSquaresState, Phase, PointStatus, Role, Stagnation};
-use super::subproblem::{Cancelled, Linear, Subproblem, longest, smallest_singular_value};
+use super::subproblem::{Cancelled, Linear, Room, Subproblem, longest, smallest_singular_value};
 use crate::method_interface::interface::Operation;
 use crate::method_interface::tolerances::ToleranceTests;
 use crate::methods::shared::failures::{Plane, plane};
 use crate::outcome::termination::Termination;
 use base::RunContext;
+use nalgebra::{DMatrix, DVector};
 use std::borrow::Cow;
 
 /// Minimum radius that can be resolved.
@@ -52,6 +53,9 @@ const FAR: f64 = 100.0;
 /// Ratio to the start value, or to one, above which a value counts as diverged. Bounds at this distance count
 /// as absent (`problem/space`).
 const RUN_AWAY: f64 = 1e10;
+
+/// Distance from a row below which it counts as active, in units of the resolution.
+const AT_ROW: f64 = 1e-6;
 
 /// Results of the tests at a point.
 struct Judged {
@@ -173,11 +177,11 @@ impl LeastSquaresState {
                 continue;
             }
             let z = self.points[base].z.clone();
-            let (lower, upper) = self.space_around(&z);
-            let (step, predicted) = self.best_step(&z, &model.linear, self.delta, &lower, &upper);
+            let room = self.room_around(&z);
+            let (step, predicted) = self.best_step(&z, &model.linear, self.delta, &room);
             let length = norm(&step);
             let Judged { tests, is_kept_off, recedes } =
-                self.judge_step(base, &model.linear, (length, predicted), &lower, &upper);
+                self.judge_step(base, &model.linear, (&step, predicted), &room);
             self.tests = Some(tests);
             // Decreases due to rounding of the sum of squares, or negligible compared with the tolerance.
             // Otherwise a direction without effect would be followed forever.
@@ -197,12 +201,10 @@ impl LeastSquaresState {
             } else if self.rho < SMALLEST {
                 self.phase = Phase::Ended(Termination::Collapsed);
             } else if length < 0.5 * self.rho || predicted <= nothing {
-                let (x_size, gain) = self.uncertainty(base, &model.linear, length, predicted);
+                let (x_size, gain) = self.uncertainty(base, &model.linear, &step, predicted, &room);
                 let x_limit = if self.setup.tolerances.x_tol > 0.0 { 0.0 } else { UNSTATED };
                 let may_pass = !tests.x_passed && self.rho > x_limit;
-                if !may_pass
-                    && (gain <= rounding || self.is_flat(&z, &model.linear, rounding, &lower, &upper))
-                {
+                if !may_pass && (gain <= rounding || self.is_flat(&z, &model.linear, rounding, &room)) {
                     self.phase = Phase::Ended(Termination::Collapsed);
                     continue;
                 }
@@ -247,30 +249,24 @@ impl LeastSquaresState {
         Ok(Some(model))
     }
 
-    /// Applies the tests at a point. `step` contains the length and the predicted decrease of its best step.
-    fn judge_step(
-        &self,
-        base: usize,
-        linear: &Linear,
-        step: (f64, f64),
-        lower: &[f64],
-        upper: &[f64],
-    ) -> Judged {
-        let (length, predicted) = step;
+    /// Applies the tests at a point. `step` is its best step and the predicted decrease.
+    fn judge_step(&self, base: usize, linear: &Linear, step: (&[f64], f64), room: &Room) -> Judged {
+        let (step, predicted) = step;
+        let length = norm(step);
         let (z, f) = (&self.points[base].z, self.points[base].cost);
         let mut tests = self.judge(self.rho.max(length), predicted, f);
         if !tests.x_passed && self.judge(length, predicted, f).x_passed {
-            let (x_size, gain) = self.uncertainty(base, linear, length, predicted);
+            let (x_size, gain) = self.uncertainty(base, linear, step, predicted, room);
             tests = self.judge(x_size, gain, f);
         }
         let (mut is_kept_off, mut recedes) = (false, false);
         if tests.passed && (length >= 0.9 * self.delta || !self.failed.is_empty()) {
             // Include decreases prevented by the radius and by failed points.
             let radius = self.options.radius.max(self.delta);
-            tests = self.judge(self.rho, self.best_step(z, linear, radius, lower, upper).1, f);
+            tests = self.judge(self.rho, self.best_step(z, linear, radius, room).1, f);
             recedes = tests.passed && self.recedes(base, linear, FAR);
             if tests.passed {
-                let free = Subproblem { linear, radius, lower, upper }.solve().1;
+                let free = Subproblem { linear, radius, room }.solve().1;
                 tests = self.judge(self.rho, free, f);
                 is_kept_off = !tests.passed;
             }
@@ -324,21 +320,34 @@ impl LeastSquaresState {
     /// (see [`ONWARD`]).
     fn recedes(&self, base: usize, linear: &Linear, far: f64) -> bool {
         let z = &self.points[base].z;
-        let (lower, upper) = self.space_around(z);
         let way = norm(z);
-        let (step, _) = self.best_step(z, linear, ONWARD * way, &lower, &upper);
+        let (step, _) = self.best_step(z, linear, ONWARD * way, &self.room_around(z));
         let along = dot(&step, z) / way;
         way >= far * self.options.radius && along >= 0.99 * ONWARD * way
     }
 
     /// Returns bounds on the distance of the minimum from the base, and on the decrease of the cost up to it.
-    fn uncertainty(&self, base: usize, linear: &Linear, length: f64, predicted: f64) -> (f64, f64) {
+    fn uncertainty(
+        &self,
+        base: usize,
+        linear: &Linear,
+        step: &[f64],
+        predicted: f64,
+        room: &Room,
+    ) -> (f64, f64) {
+        let length = norm(step);
         let coarse = (self.rho, predicted);
         let Some(curvature) = self.curvature.filter(|_| self.set.len() == self.n() + 1) else {
             return coarse;
         };
-        let sigma = smallest_singular_value(&linear.factor);
         let (_, far) = self.farthest(base);
+        let sigma = match room.rows.is_empty() {
+            true => smallest_singular_value(&linear.factor),
+            false => {
+                let error = curvature * far * self.points[base].cost.sqrt();
+                self.smallest_in_rows(linear, step, room, error)
+            }
+        };
         // The error of the Jacobian is the curvature times the size of the set. The error of the gradient is
         // this error times the residuals.
         let gradient = curvature * far * self.points[base].cost.sqrt() / sigma;
@@ -346,15 +355,24 @@ impl LeastSquaresState {
         if x_size < self.rho { (x_size, predicted + gradient * gradient) } else { coarse }
     }
 
-    /// Returns a step along a direction with the given length, on the side with more space in the box.
+    /// Returns the smallest singular value of the Jacobian in the null space of the rows and bounds that hold
+    /// the minimum of the model. `error` is the possible error of the gradient.
+    fn smallest_in_rows(&self, linear: &Linear, step: &[f64], room: &Room, error: f64) -> f64 {
+        let Linear { factor, reached } = linear;
+        let gradient = factor.tr_mul(&(reached + factor * DVector::from_column_slice(step)));
+        let holding = room.holding(step, gradient.as_slice(), AT_ROW * self.rho, error);
+        let basis = Selection::of(holding.iter().map(|row| &row.normal[..])).missing(self.n());
+        if basis.is_empty() {
+            return f64::INFINITY;
+        }
+        let basis: Vec<DVector<f64>> = basis.into_iter().map(DVector::from_vec).collect();
+        let inside = factor * DMatrix::from_columns(&basis);
+        smallest_singular_value(&Linear::turned(reached.clone(), inside).factor)
+    }
+
+    /// Returns a step along a direction with the given length, on the side with more space.
     pub(super) fn fitted(&self, z: &[f64], direction: &[f64], length: f64) -> Vec<f64> {
-        let (lower, upper) = self.space_around(z);
-        let along = |sign: f64| {
-            let v = direction.iter().enumerate().map(|(k, d)| (sign * length * d).clamp(lower[k], upper[k]));
-            v.collect::<Vec<f64>>()
-        };
-        let (forth, back) = (along(1.0), along(-1.0));
-        if norm(&back) > norm(&forth) { back } else { forth }
+        self.room_around(z).along(direction, length)
     }
 
     /// Requests points along the directions not covered by the set.
@@ -374,9 +392,9 @@ impl LeastSquaresState {
 
     /// True if the cost differs only by rounding over the whole resolution, and the model predicts no larger
     /// decrease farther away.
-    fn is_flat(&self, z: &[f64], linear: &Linear, rounding: f64, lower: &[f64], upper: &[f64]) -> bool {
+    fn is_flat(&self, z: &[f64], linear: &Linear, rounding: f64, room: &Room) -> bool {
         linear.factor.norm_squared() * self.rho * self.rho <= rounding
-            && self.best_step(z, linear, self.options.radius.max(self.delta), lower, upper).1 <= rounding
+            && self.best_step(z, linear, self.options.radius.max(self.delta), room).1 <= rounding
     }
 
     /// Reduces the resolution to a tenth, or to the maximum distance of the minimum if smaller. Near the
@@ -399,9 +417,9 @@ impl LeastSquaresState {
     fn improve(&mut self, base: usize, model: &Interpolation, point: usize, distance: f64) {
         let radius = (0.1 * distance).min(0.5 * self.delta).max(self.rho);
         let z = self.points[base].z.clone();
-        let (lower, upper) = self.space_around(&z);
+        let room = self.room_around(&z);
         let place = self.set.iter().position(|k| *k == point).unwrap_or(0);
-        let step = longest(model.gradient(place), radius, &lower, &upper, self.n_geometry_failed % 2 == 1);
+        let step = longest(model.gradient(place), radius, &room, self.n_geometry_failed % 2 == 1);
         self.ask_for(sum(&z, &step), Role::Geometry { instead: point });
     }
 
@@ -611,15 +629,8 @@ impl LeastSquaresState {
 
     /// Returns the best step of the model from `z`, and the predicted decrease. If nearby points have failed,
     /// the step stays on the side of the points with residuals.
-    fn best_step(
-        &self,
-        z: &[f64],
-        linear: &Linear,
-        radius: f64,
-        lower: &[f64],
-        upper: &[f64],
-    ) -> (Vec<f64>, f64) {
-        let best = Subproblem { linear, radius, lower, upper }.solve();
+    fn best_step(&self, z: &[f64], linear: &Linear, radius: f64, room: &Room) -> (Vec<f64>, f64) {
+        let best = Subproblem { linear, radius, room }.solve();
         if self.failed.is_empty() {
             return best;
         }
@@ -639,7 +650,7 @@ impl LeastSquaresState {
         let row: Vec<f64> = normal.iter().map(|v| weight * v).collect();
         let (step, _) = Subproblem {
             linear: &linear.with_row(&row, -weight * limit),
-            ..Subproblem { linear, radius, lower, upper }
+            ..Subproblem { linear, radius, room }
         }
         .solve();
         let predicted = linear.decrease(&step);

@@ -51,7 +51,7 @@ pub(super) fn starts(space: &Space, sample: &RankedPoints, used: &[bool]) -> Vec
     let is_start = |rank: usize| {
         let slot = looked_at[rank];
         let near = |other: &usize| distance(space, sample.u(slot), sample.u(*other)) <= critical;
-        !used[slot] && sample.cost(slot).value().is_some() && !looked_at[..rank].iter().any(near)
+        !used[slot] && sample.cost(slot).is_ranked() && !looked_at[..rank].iter().any(near)
     };
     (0..looked_at.len()).filter(|&rank| is_start(rank)).map(|rank| looked_at[rank]).collect()
 }
@@ -63,8 +63,7 @@ const TESTS: usize = 3;
 /// point. Requires up-to-date ranks.
 pub(super) fn tests(sample: &RankedPoints, used: &[bool]) -> Vec<usize> {
     let looked_at = sample.order()[..n_looked_at(sample.len())].iter().copied();
-    let left: Vec<usize> =
-        looked_at.filter(|slot| !used[*slot] && sample.cost(*slot).value().is_some()).collect();
+    let left: Vec<usize> = looked_at.filter(|slot| !used[*slot] && sample.cost(*slot).is_ranked()).collect();
     let n = left.len().min(TESTS);
     (0..n).map(|k| left[k * (left.len() - 1) / (n - 1).max(1)]).collect()
 }

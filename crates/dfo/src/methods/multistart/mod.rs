@@ -48,6 +48,8 @@ pub use state::MultistartState;
 
 use crate::error::Error;
 use crate::method_interface::interface::{MethodOptions, Setup};
+use crate::methods::least_squares::LeastSquares;
+use crate::methods::nelder_mead::NelderMead;
 use crate::methods::shared::population::MAX_MEMBERS;
 use crate::problem::memory;
 use crate::problem::option_texts;
@@ -79,6 +81,21 @@ impl MethodOptions for Multistart {
 
     fn needs_start(&self) -> bool {
         false
+    }
+
+    fn supports_linear(&self) -> bool {
+        match self.polish {
+            Polish::LeastSquares => LeastSquares::default().supports_linear(),
+            Polish::NelderMead | Polish::Auto | Polish::CmaEs => true,
+        }
+    }
+
+    fn supports_nonlinear(&self) -> bool {
+        match self.polish {
+            Polish::LeastSquares => LeastSquares::default().supports_nonlinear(),
+            Polish::NelderMead => NelderMead::default().supports_nonlinear(),
+            Polish::Auto | Polish::CmaEs => true,
+        }
     }
 
     fn needs_residuals(&self) -> bool {

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Polish {
-    /// [`NelderMead`] for up to five free parameters, [`CmaEs`] for more.
+    /// [`NelderMead`] for up to five free parameters, [`CmaEs`] for more and with nonlinear constraints.
     #[default]
     Auto,
     /// [`LeastSquares`]: for objectives with residuals.
@@ -148,7 +148,7 @@ impl Multistart {
         setup: &Setup,
         state: Option<&[u8]>,
     ) -> Result<Box<dyn Method + Send>, Error> {
-        let few = setup.space.n_free() <= FEW;
+        let few = setup.space.n_free() <= FEW && setup.constraints.nonlinear.is_empty();
         match self.polish {
             Polish::LeastSquares => boxed(&LeastSquares::default().serial(), setup, state),
             Polish::NelderMead => boxed(&NelderMead::default(), setup, state),

@@ -68,11 +68,12 @@ impl SpeculativeSearches {
         while !self.is_over && self.received.len() < MOST_BATCHES {
             let mut answers = Answers::default();
             for k in 0..self.requested.len() {
-                let Some(Answer { outcome, residuals, .. }) = answer(&self.requested, k, !self.is_ahead())
-                else {
-                    return;
-                };
+                let Some(answer) = answer(&self.requested, k, !self.is_ahead()) else { return };
+                let Answer { outcome, residuals, constraints, .. } = answer;
                 answers.push(outcome, &residuals);
+                if !constraints.is_empty() {
+                    answers.set_constraints(&constraints);
+                }
             }
             if !self.tell(&answers) {
                 return;

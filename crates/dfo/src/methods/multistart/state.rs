@@ -40,6 +40,11 @@ enum Phase {
     Ended(Termination),
 }
 
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
+}
+
 /// State except the inner methods.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Core {
@@ -67,6 +72,9 @@ pub(super) struct Core {
     n_elsewhere: usize,
     minima: Vec<Optimum>,
     best: Best,
+    /// Violation of the best point; 0 if it satisfies the constraints.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    best_violation: f64,
     /// Termination, tests and derivatives of the search that ended at the best minimum.
     #[serde(default)]
     end: Option<Termination>,
@@ -79,6 +87,14 @@ pub(super) struct Core {
 }
 
 impl Core {
+    /// Records the answers to points of the sample. Returns true if all points are known.
+    fn tell_sample(&mut self, answers: &Answers) -> Result<bool, Error> {
+        let constraints = &self.setup.constraints;
+        self.rounds.tell_ranked(answers, constraints, &mut self.sample, |_, k| {
+            Cost::of(&answers.outcomes()[k], constraints, answers.constraints(k))
+        })
+    }
+
     /// True if probably all minima have been found.
     fn has_all_minima(&self) -> bool {
         let n_looked_at = clusters::n_looked_at(self.sample.len());
@@ -150,6 +166,7 @@ impl MultistartState {
             n_elsewhere: 0,
             minima: Vec::new(),
             best: Best::default(),
+            best_violation: 0.0,
             end: None,
             tests: None,
             model: None,
@@ -267,7 +284,7 @@ impl MultistartState {
         }
         if first {
             *operation = Some(Operation::Initial);
-            let has_cost = sample.cost(0).value().is_some();
+            let has_cost = sample.cost(0).is_ranked();
             if setup.start_given && has_cost && sample.x(0) == setup.space.x0() {
                 queue.push(sample.x(0).to_vec());
                 used[0] = true;
@@ -364,7 +381,7 @@ impl MultistartState {
                 core.used = vec![false; population.len()];
                 for rank in 0..population.len() {
                     core.sample.place_exactly(rank, population.vertex(rank), space);
-                    core.sample.set_cost(rank, population.cost(rank).map_or(Cost::Failed, Cost::Value));
+                    core.sample.set_cost(rank, population.rank_cost(rank));
                 }
             }
             (Some(_), _) => core.operation = Some(Operation::Generation),
@@ -390,7 +407,7 @@ impl MultistartState {
             let len = search.requested.len();
             self.received.clear();
             for k in first..(first + len).min(answers.len()) {
-                self.received.push(answers.outcomes()[k].clone(), answers.residuals(k).unwrap_or_default());
+                self.received.push_from(answers, k);
             }
             first += len;
             if len > 0 {
@@ -403,9 +420,9 @@ impl MultistartState {
             // The remaining points belong to the next sample.
             self.received.clear();
             for k in first..answers.len() {
-                self.received.push(answers.outcomes()[k].clone(), answers.residuals(k).unwrap_or_default());
+                self.received.push_from(answers, k);
             }
-            if self.core.rounds.tell(&self.received, &mut self.core.sample)? {
+            if self.core.tell_sample(&self.received)? {
                 self.sampled()?;
             }
         }
@@ -418,7 +435,9 @@ impl MultistartState {
         let n_minima = core.minima.len();
         self.searches.retain(|search| {
             let status = search.method.status();
-            if let Some((x, cost)) = search.method.best().filter(|_| status != Status::Running) {
+            if let Some((x, cost)) = search.method.best().filter(|_| status != Status::Running)
+                && search.method.best_violation() == 0.0
+            {
                 if core.minima.first().is_none_or(|best| cost < best.cost) {
                     core.end = match &status {
                         Status::Ended(end) => Some(end.clone()),
@@ -530,13 +549,16 @@ impl Method for MultistartState {
         core.n_points += requested.len() as u64;
         for (k, outcome) in outcomes.iter().enumerate() {
             let Some(cost) = outcome.value() else { continue };
-            core.best.offer(requested.point(k), cost);
+            let violation = core.setup.constraints.rank(answers.constraints(k));
+            if core.best.offer_ranked(requested.point(k), cost, violation, core.best_violation) {
+                core.best_violation = violation;
+            }
         }
         core.n_iterations += usize::from(core.operation.is_some());
         match core.phase {
             Phase::Sampling => {
                 core.n_elsewhere += requested.len();
-                if core.rounds.tell(answers, &mut core.sample)? {
+                if core.tell_sample(answers)? {
                     self.sampled()?;
                 }
             }

@@ -17,6 +17,75 @@ const FREE_FRACTION: f64 = 0.3;
 const FLAT: f64 = 1e-10;
 
 pub(super) fn simplex(space: &Space, initial: &InitialSimplex) -> Result<RankedPoints, Error> {
+    let mut simplex = in_box(space, initial)?;
+    if !matches!(initial, InitialSimplex::Vertices(_)) {
+        (1..simplex.len()).for_each(|slot| bring_into_rows(&mut simplex, 0, slot, space));
+    } else if !space.rows().is_empty() {
+        for slot in 0..simplex.len() {
+            let mut u = simplex.u(slot).to_vec();
+            space.restore(&mut u);
+            let mut x = simplex.x(slot).to_vec();
+            space.to_user(&u, &mut x);
+            simplex.set(slot, &u, &x);
+        }
+        let (rank, n) = (rank(space, &simplex), space.n_free());
+        if rank < n {
+            return Err(Error::DegenerateSimplex { rank, n });
+        }
+    }
+    Ok(simplex)
+}
+
+/// Moves a vertex that violates linear constraints. It moves to the opposite side of the vertex `base`, or
+/// else its edge starts from a point between `base` and the interior, and is as long as the constraints
+/// allow. The edges of different vertices then remain independent.
+pub(super) fn bring_into_rows(simplex: &mut RankedPoints, base: usize, slot: usize, space: &Space) {
+    let u = simplex.u(slot).to_vec();
+    if space.satisfies_rows(&u) {
+        return;
+    }
+    let from = simplex.u(base).to_vec();
+    let is_inside = |v: &[f64]| {
+        let in_bounds = |(k, v): (usize, &f64)| {
+            let (lower, upper) = space.working_bounds(k);
+            lower <= *v && *v <= upper
+        };
+        v.iter().enumerate().all(in_bounds) && space.satisfies_rows(v)
+    };
+    let edge: Vec<f64> = u.iter().zip(&from).map(|(u, from)| u - from).collect();
+    let length = |edge: &mut dyn Iterator<Item = f64>| {
+        edge.enumerate().map(|(k, e)| (e / space.size(k)).powi(2)).sum::<f64>().sqrt()
+    };
+    let moved = |start: &[f64], sign: f64| -> Vec<f64> {
+        start.iter().zip(&edge).map(|(start, e)| start + sign * e).collect()
+    };
+    let mut found = moved(&from, -1.0);
+    if !is_inside(&found) {
+        let inward: Vec<f64> =
+            space.interior().iter().zip(&from).map(|(inside, from)| inside - from).collect();
+        let distance = length(&mut inward.iter().copied());
+        let share =
+            if distance > 0.0 { (length(&mut edge.iter().copied()) / distance).min(1.0) } else { 0.0 };
+        let start: Vec<f64> = from.iter().zip(&inward).map(|(from, inward)| from + share * inward).collect();
+        let ends = [1.0, -1.0].map(|sign| {
+            let mut end = moved(&start, sign);
+            for (k, v) in end.iter_mut().enumerate() {
+                let (lower, upper) = space.working_bounds(k);
+                *v = v.clamp(lower, upper);
+            }
+            space.shorten(&start, &mut end);
+            let reached = length(&mut end.iter().zip(&start).map(|(end, start)| end - start));
+            (end, reached)
+        });
+        let [first, second] = ends;
+        found = if second.1 > first.1 { second.0 } else { first.0 };
+    }
+    let mut x = simplex.x(slot).to_vec();
+    space.to_user(&found, &mut x);
+    simplex.set(slot, &found, &x);
+}
+
+fn in_box(space: &Space, initial: &InitialSimplex) -> Result<RankedPoints, Error> {
     match initial {
         InitialSimplex::Auto if is_open(space) => Ok(regular(space)),
         InitialSimplex::Auto => Ok(from_steps(space, &default_steps(space))),

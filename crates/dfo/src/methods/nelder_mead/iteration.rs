@@ -151,7 +151,10 @@ impl NelderMeadState {
     fn side_of_restart(&mut self, tests: &ToleranceTests) -> Option<f64> {
         let useless = self.f_restart.is_some_and(|f| f - tests.f_best <= tests.f_limit);
         let space = &self.setup.space;
-        let is_on_bound = || restart::free_coordinates(&self.simplex, space).count() < space.n_free();
+        let is_on_bound = || {
+            restart::free_coordinates(&self.simplex, space).count() < space.n_free()
+                || restart::is_on_row(&self.simplex, space)
+        };
         if self.restarts == 0 || useless {
             None
         } else if self.spreads.judge() && !is_on_bound() {
@@ -192,7 +195,7 @@ impl NelderMeadState {
                 self.size_step_answered();
             }
             // Without a cost at the start, no comparison is possible.
-            (None, Cost::Failed) => self.phase = Phase::Starting,
+            (None, Cost::Infeasible(_) | Cost::Failed) => self.phase = Phase::Starting,
             (Some(search), _) if !search.is_over() => {}
             (Some(search), _) => {
                 if self.phase == Phase::Checking {

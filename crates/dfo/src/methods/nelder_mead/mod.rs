@@ -6,6 +6,12 @@
 //! from Gao and Han (Comput. Optim. Appl. 51, 2012). For bounds, see
 //! [`BoundsHandling`](crate::BoundsHandling).
 //!
+//! **Linear constraints.** Bounds are treated by clamping. The way from the centroid to a trial point ends at
+//! the first constraint that it meets. If this is (nearly) at the centroid, because the other vertices are on
+//! the constraint, the point is the middle between the centroid and the worst vertex. The simplex then
+//! approaches the constraint without becoming flat on it. Nonlinear constraints are not supported: ranking
+//! vertices by feasibility first makes the simplex flat along the constraint, away from the minimum.
+//!
 //! **Failures.** A failed vertex ranks after every vertex with a cost. Among failed vertices, the newest
 //! ranks last. The last vertex is replaced as always, but the centroid includes only the finite ones among
 //! the other vertices (at least the best is finite). The centroid is still in the plane through the remaining
@@ -76,8 +82,14 @@ impl MethodOptions for NelderMead {
         let setup = self.prepared(setup);
         simplex.rewrite(&setup.space);
         let unknown = (0..setup.space.n_free()).any(|k| setup.space.size_is_unknown(k));
-        let sizing = unknown && self.initial == InitialSimplex::Auto;
-        Ok(NelderMeadState::new(setup, self.batch, numbers, self.bounds, simplex, self.restarts, sizing))
+        // Steps of powers of ten along a parameter leave the feasible set.
+        let sizing = unknown && self.initial == InitialSimplex::Auto && !setup.space.has_linear();
+        let handling = self.handling(&setup.space);
+        Ok(NelderMeadState::new(setup, self.batch, numbers, handling, simplex, self.restarts, sizing))
+    }
+
+    fn supports_linear(&self) -> bool {
+        true
     }
 
     fn describe(&self) -> Vec<(String, String)> {

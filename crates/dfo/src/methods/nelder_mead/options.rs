@@ -2,6 +2,7 @@
 
 use crate::error::Error;
 use crate::method_interface::interface::{Lookahead, Setup};
+use crate::problem::space::Space;
 use crate::values::choices::BoundsHandling;
 use serde::{Deserialize, Serialize};
 
@@ -126,7 +127,8 @@ pub struct NelderMead {
     pub batch: Lookahead,
     /// Coefficients; default standard below five parameters, adaptive for five and more.
     pub coefficients: Coefficients,
-    /// Treatment of bounds; default [`BoundsHandling::Sine`].
+    /// Treatment of bounds; default [`BoundsHandling::Sine`]. With linear constraints,
+    /// [`BoundsHandling::Clamp`] is used.
     #[serde(rename = "bounds_handling")]
     pub bounds: BoundsHandling,
     /// Initial simplex.
@@ -204,9 +206,15 @@ impl NelderMead {
     /// parameters are angles.
     pub(crate) fn prepared(&self, setup: &Setup) -> Setup {
         let mut setup = Setup { space: setup.space.without_far_bounds(), ..setup.clone() };
-        if self.bounds == BoundsHandling::Sine {
+        if self.handling(&setup.space) == BoundsHandling::Sine {
             setup.space = setup.space.with_sine();
         }
         setup
+    }
+
+    /// Returns the treatment of bounds. Linear constraints are not linear in angles, so sines are replaced by
+    /// clamping.
+    pub(super) fn handling(&self, space: &Space) -> BoundsHandling {
+        if space.has_linear() { BoundsHandling::Clamp } else { self.bounds }
     }
 }

@@ -1,6 +1,6 @@
 //! Detection of degenerate simplices, and construction of the new simplex for a restart.
 
-use super::initial::stepped;
+use super::initial::{bring_into_rows, stepped};
 use crate::method_interface::tolerances::ToleranceTests;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::problem::space::Space;
@@ -163,5 +163,15 @@ pub(super) fn orient(simplex: &mut RankedPoints, space: &Space, extent: f64) {
         u[k] = stepped(centre[k], step, space.working_bounds(k));
         space.to_user(&u, &mut x);
         simplex.set(slot, &u, &x);
+        bring_into_rows(simplex, best, slot, space);
     }
+}
+
+/// True if the simplex is on a linear constraint.
+pub(super) fn is_on_row(simplex: &RankedPoints, space: &Space) -> bool {
+    space.rows().iter().any(|row| {
+        let terms = row.normal.iter().enumerate();
+        let length = terms.map(|(k, a)| (a * space.size(k)).powi(2)).sum::<f64>().sqrt();
+        simplex.order().iter().all(|&s| row.limit - row.value(simplex.u(s)) <= TOUCHING * length)
+    })
 }

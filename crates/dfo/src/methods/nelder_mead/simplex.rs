@@ -79,6 +79,10 @@ impl RankedPoints {
                 let drawn = if drawn.is_finite() { drawn } else { (1.0 - factor) * b + factor * *u };
                 *u = drawn.clamp(lower, upper);
             }
+            if !space.satisfies_rows(self.u(slot)) {
+                // Only by rounding.
+                space.restore(self.u_mut(slot));
+            }
             let (u, x) =
                 (&self.u[slot * self.n..][..self.n], &mut self.x[slot * self.n_user..][..self.n_user]);
             space.to_user(u, x);

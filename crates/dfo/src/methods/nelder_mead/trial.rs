@@ -94,15 +94,36 @@ impl Frame<'_> {
                 *u = beside(space, k, raw(k), centroid[k]);
             }
         }
+        if !space.satisfies_rows(&point.u) {
+            self.shorten(&mut point.u);
+        }
         space.to_user(&point.u, &mut point.x);
     }
+
+    /// Shortens the way from the centroid to a point that violates linear constraints.
+    fn shorten(&self, u: &mut [f64]) {
+        let Self { space, centroid, worst, .. } = self;
+        let length = |u: &[f64]| -> f64 {
+            u.iter().zip(*centroid).enumerate().map(|(k, (u, c))| ((u - c) / space.size(k)).powi(2)).sum()
+        };
+        let before = length(u);
+        space.shorten(centroid, u);
+        if length(u) <= NEARLY * NEARLY * before {
+            // The other vertices are on the constraint.
+            u.iter_mut().enumerate().for_each(|(k, u)| *u = 0.5 * centroid[k] + 0.5 * worst[k]);
+            space.restore(u);
+        }
+    }
 }
+
+/// Share of a step below which a point counts as (nearly) at the centroid.
+const NEARLY: f64 = 1e-3;
 
 /// True if the bounds moved a coordinate (nearly) back to the centroid. A simplex that accepts such a point
 /// stays flat. With mirroring, this happens if starts and steps are on a grid of tenths of the box. With
 /// clamping, it happens if a side of the simplex is on a bound.
 fn brought_onto(u: f64, raw: f64, centroid: f64) -> bool {
-    u != raw && (u - centroid).abs() <= 1e-3 * (raw - centroid).abs()
+    u != raw && (u - centroid).abs() <= NEARLY * (raw - centroid).abs()
 }
 
 /// Returns the replacement for such a coordinate. This is the crossed bound, which is half as far from the

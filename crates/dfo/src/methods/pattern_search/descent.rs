@@ -1,10 +1,16 @@
 //! Search for a descent direction that no poll has found, before a point counts as a minimum.
 
-use super::discrete_gradients::{DIFFERENCE, Descent, DiscreteGradients, Partial, implied};
+use super::discrete_gradients::{Blocked, DIFFERENCE, Descent, DiscreteGradients, Partial, implied};
 use super::poll::Poll;
 use super::state::{Phase, Polling};
 use crate::method_interface::interface::{AnswersSoFar, Batch, Operation};
 use crate::methods::shared::cost::Cost;
+
+/// Shortest difference along an axis between linear constraints, in units of its usual length.
+const SHORTEST: f64 = 0.01;
+
+/// Distance from a linear constraint, in units of the step, up to which it blocks descent directions.
+const NEARLY_ON: f64 = 0.01;
 
 /// Factor by which the steps are shortened if none of the current length leads down.
 const SHORTER: f64 = 0.1;
@@ -120,7 +126,16 @@ impl Polling {
             self.best.u(0).iter().enumerate().map(|(k, u)| is_at(*u, space.working_bounds(k))).collect()
         };
         let bounds = (at(&|u, (lower, _)| u <= lower), at(&|u, (_, upper)| u >= upper));
-        let slope = descent.gradients.add(gradient, (&bounds.0, &bounds.1));
+        let blocked = Blocked {
+            at_lower: &bounds.0,
+            at_upper: &bounds.1,
+            rows: if space.rows().is_empty() {
+                Vec::new()
+            } else {
+                self.near_rows(self.best.u(0), NEARLY_ON * self.first * descent.scale).collect()
+            },
+        };
+        let slope = descent.gradients.add(gradient, &blocked);
         let gain = slope.map_or(0.0, |slope| self.first * descent.scale * slope);
         if gain > descent.least || self.shorten(&mut descent) {
             self.descend_with(descent);
@@ -142,6 +157,20 @@ impl Polling {
         let forward = (u[axis] + distance).min(upper);
         trial[axis] =
             if forward - u[axis] >= 0.5 * distance { forward } else { (u[axis] - distance).max(lower) };
+        if !space.satisfies_rows(trial) {
+            let ends = [forward, (u[axis] - distance).max(lower)].map(|end| {
+                trial[axis] = end;
+                space.shorten(u, trial);
+                trial[axis]
+            });
+            let [up, down] = ends.map(|end| (end - u[axis]).abs());
+            trial.copy_from_slice(u);
+            trial[axis] = if up >= down { ends[0] } else { ends[1] };
+            // Without enough room, the derivative counts as zero.
+            if up.max(down) < SHORTEST * distance || !space.satisfies_rows(trial) {
+                trial.copy_from_slice(u);
+            }
+        }
         space.to_user(trial, x);
         trial[axis] != u[axis]
     }

@@ -10,6 +10,7 @@
 //! minimum within the reach of these steps.
 
 use crate::methods::shared::dot::dot;
+use crate::problem::constraints::quadratic_program::{self, HalfSpace};
 use serde::{Deserialize, Serialize};
 
 /// Distance of the finite differences, in units of the step. It must be small compared with the step (section
@@ -41,8 +42,24 @@ pub(super) fn implied(step: &[f64]) -> usize {
     (0..step.len()).fold(0, larger)
 }
 
-/// Returns a gradient without the components whose descent direction is blocked by a bound.
-fn free(gradient: &[f64], at_lower: &[bool], at_upper: &[bool]) -> Vec<f64> {
+/// Bounds and linear constraints that block directions.
+pub(super) struct Blocked<'a> {
+    /// Coordinates at their lower bound, and at their upper bound.
+    pub(super) at_lower: &'a [bool],
+    pub(super) at_upper: &'a [bool],
+    /// Half-spaces of directions that do not leave linear constraints or bounds; empty without linear
+    /// constraints.
+    pub(super) rows: Vec<HalfSpace>,
+}
+
+/// Returns a gradient without the part whose descent direction is blocked.
+fn free(gradient: &[f64], Blocked { at_lower, at_upper, rows }: &Blocked<'_>) -> Vec<f64> {
+    if !rows.is_empty() {
+        // The nearest direction to steepest descent that is not blocked.
+        let identity = quadratic_program::identity(gradient.len());
+        let nearest = identity.and_then(|h| quadratic_program::minimize(&h, gradient, rows));
+        return nearest.map_or_else(|| gradient.to_vec(), |solution| solution.x.iter().map(|d| -d).collect());
+    }
     let each = gradient.iter().enumerate();
     let inward = each.map(|(k, g)| if at_lower[k] && *g > 0.0 || at_upper[k] && *g < 0.0 { 0.0 } else { *g });
     inward.collect()
@@ -68,7 +85,7 @@ impl DiscreteGradients {
     /// Adds a gradient, and sets the direction opposite to the shortest vector of the hull. Returns the
     /// length of this vector, the maximum decrease of the cost per length. Returns `None` after the maximum
     /// number of gradients.
-    pub(super) fn add(&mut self, gradient: Vec<f64>, bounds: (&[bool], &[bool])) -> Option<f64> {
+    pub(super) fn add(&mut self, gradient: Vec<f64>, blocked: &Blocked<'_>) -> Option<f64> {
         if self.gradients.len() >= MOST_GRADIENTS * (gradient.len() + 1)
             || gradient.iter().any(|g| !g.is_finite())
         {
@@ -76,7 +93,7 @@ impl DiscreteGradients {
         }
         self.gradients.push(gradient);
         self.weights.push(if self.gradients.len() == 1 { 1.0 } else { 0.0 });
-        let shortest = self.shortest(bounds);
+        let shortest = self.shortest(blocked);
         let length = dot(&shortest, &shortest).sqrt();
         if length > 0.0 {
             self.direction.iter_mut().zip(&shortest).for_each(|(d, v)| *d = -v / length);
@@ -86,14 +103,14 @@ impl DiscreteGradients {
 
     /// Returns the shortest vector of the hull, found by exchanges of weight between two gradients (Mitchell,
     /// Demyanov and Malozemov, SIAM J. Control 12, 1974, 19).
-    fn shortest(&mut self, bounds: (&[bool], &[bool])) -> Vec<f64> {
+    fn shortest(&mut self, blocked: &Blocked<'_>) -> Vec<f64> {
         let Self { gradients, weights, direction } = self;
         let sum = |weights: &[f64]| {
             let mut sum = vec![0.0; direction.len()];
             for (w, g) in weights.iter().zip(&*gradients) {
                 sum.iter_mut().zip(g).for_each(|(sum, g)| *sum += w * g);
             }
-            free(&sum, bounds.0, bounds.1)
+            free(&sum, blocked)
         };
         let mut shortest = sum(weights);
         for _ in 0..MOST_EXCHANGES {
@@ -169,7 +186,8 @@ mod tests {
 
     fn after(gradients: &[[f64; 2]], bounds: (&[bool], &[bool])) -> (f64, Vec<f64>) {
         let mut all = DiscreteGradients::new(vec![1.0, 0.0]);
-        let length = gradients.iter().fold(None, |_, g| all.add(g.to_vec(), bounds));
+        let blocked = Blocked { at_lower: bounds.0, at_upper: bounds.1, rows: Vec::new() };
+        let length = gradients.iter().fold(None, |_, g| all.add(g.to_vec(), &blocked));
         (length.unwrap_or(f64::NAN), all.direction().to_vec())
     }
 

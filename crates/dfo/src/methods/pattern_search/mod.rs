@@ -30,6 +30,13 @@
 //!
 //! **Bounds.** A point outside the bounds is moved onto the bound.
 //!
+//! **Linear constraints.** A point outside moves to the nearest feasible point. Near constraints, a poll also
+//! has the directions that generate the cone of feasible directions (Lewis and Torczon, SIAM J. Optim. 10,
+//! 2000, 917).
+//!
+//! Nonlinear constraints are not supported. With them as a barrier, the search ended beside the minimum on a
+//! curved constraint although its tests had passed.
+//!
 //! **Failures.** A failed point counts as a point that is not better. If the start has failed, the first poll
 //! must find a cost. If points next to the best one have failed, CMA-ES searches for a lower cost between
 //! them (`failure_check.rs`). The search has converged only after that.
@@ -100,6 +107,10 @@ impl MethodOptions for PatternSearch {
 
     fn needs_start(&self) -> bool {
         false
+    }
+
+    fn supports_linear(&self) -> bool {
+        true
     }
 
     fn describe(&self) -> Vec<(String, String)> {

@@ -9,13 +9,16 @@ pub(super) struct Poll {
     normal: Vec<f64>,
     /// Axis and sign of each direction.
     order: Vec<(usize, bool)>,
+    /// Directions that conform to nearly active linear constraints, of length 1. They follow the others.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    conforming: Vec<Vec<f64>>,
 }
 
 impl Poll {
     /// Returns a poll along the coordinate axes.
     pub(super) fn along_axes(n: usize) -> Self {
         let order = (0..n).flat_map(|k| [(k, true), (k, false)]).collect();
-        Self { normal: vec![0.0; n], order }
+        Self { normal: vec![0.0; n], order, conforming: Vec::new() }
     }
 
     /// Returns a poll with the reflection by a point of Halton's sequence (OrthoMADS, section 3.1). `index`
@@ -59,11 +62,58 @@ impl Poll {
 
     /// Returns the number of directions.
     pub(super) fn len(&self) -> usize {
-        self.order.len()
+        self.order.len() + self.conforming.len()
+    }
+
+    /// Adds directions that generate the cone of feasible directions at nearly active constraints with these
+    /// normals (Lewis and Torczon, SIAM J. Optim. 10, 2000, 917): the directions that leave one constraint
+    /// and follow the others, and a basis of those that follow all of them, with both signs. Normals that
+    /// depend on earlier ones are ignored.
+    pub(super) fn conform(&mut self, normals: &[Vec<f64>]) {
+        self.conforming.clear();
+        let n = self.normal.len();
+        // An orthonormal basis of the independent normals.
+        let (mut active, mut basis): (Vec<&[f64]>, Vec<Vec<f64>>) = (Vec::new(), Vec::new());
+        for normal in normals {
+            if let Some(unit) = beside(normal, &basis, DEPENDENT) {
+                basis.push(unit);
+                active.push(normal);
+            }
+        }
+        for (i, normal) in active.iter().enumerate() {
+            // The part of a normal across all other normals.
+            let mut others: Vec<Vec<f64>> = Vec::new();
+            for (_, other) in active.iter().enumerate().filter(|(j, _)| *j != i) {
+                others.extend(beside(other, &others, 0.0));
+            }
+            let inward: Vec<f64> = normal.iter().map(|a| -a).collect();
+            self.conforming.extend(beside(&inward, &others, 0.0));
+        }
+        let mut axis = vec![0.0; n];
+        for k in (0..self.order.len()).filter(|k| self.order[*k].1) {
+            if active.is_empty() || basis.len() == n {
+                break;
+            }
+            self.direction(k, &mut axis);
+            if let Some(unit) = beside(&axis, &basis, DEPENDENT) {
+                self.conforming.push(unit.iter().map(|a| -a).collect());
+                self.conforming.push(unit.clone());
+                basis.push(unit);
+            }
+        }
+    }
+
+    /// True if direction `k` conforms to linear constraints. Such directions are not rounded to the mesh.
+    pub(super) fn is_conforming(&self, k: usize) -> bool {
+        k >= self.order.len()
     }
 
     /// Sets `out` to direction `k`, of length 1.
     pub(super) fn direction(&self, k: usize, out: &mut [f64]) {
+        if let Some(direction) = k.checked_sub(self.order.len()).map(|k| &self.conforming[k]) {
+            out.copy_from_slice(direction);
+            return;
+        }
         let (axis, is_positive) = self.order[k];
         let sign = if is_positive { 1.0 } else { -1.0 };
         for (i, (d, v)) in out.iter_mut().zip(&self.normal).enumerate() {
@@ -82,8 +132,29 @@ impl Poll {
     }
 
     pub(super) fn is_sound(&self, n: usize) -> bool {
-        self.normal.len() == n && self.order.len() == 2 * n && self.order.iter().all(|(axis, _)| *axis < n)
+        self.normal.len() == n
+            && self.order.len() == 2 * n
+            && self.order.iter().all(|(axis, _)| *axis < n)
+            && self.conforming.iter().all(|d| d.len() == n && d.iter().all(|d| d.is_finite()))
     }
+}
+
+/// Length of the independent part of a normal of length 1 below which it depends on the others.
+const DEPENDENT: f64 = 1e-6;
+
+/// Returns the part of a vector across an orthonormal basis, with length 1. `None` if it is at most `least`
+/// times as long as the vector.
+fn beside(vector: &[f64], basis: &[Vec<f64>], least: f64) -> Option<Vec<f64>> {
+    let length = |v: &[f64]| v.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let whole = length(vector);
+    let mut rest: Vec<f64> = vector.iter().map(|v| v / whole).collect();
+    // Twice, because the first pass leaves rounding errors.
+    for unit in basis.iter().chain(basis) {
+        let along: f64 = rest.iter().zip(unit).map(|(a, b)| a * b).sum();
+        rest.iter_mut().zip(unit).for_each(|(r, u)| *r -= along * u);
+    }
+    let length = length(&rest);
+    (length > least && length.is_finite()).then(|| rest.iter().map(|r| r / length).collect())
 }
 
 /// Returns the radical inverse: the digits of a number in a base, mirrored at the radix point (Halton, Numer.

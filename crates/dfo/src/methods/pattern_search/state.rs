@@ -13,6 +13,7 @@ use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::outcome::answer::Answers;
 use crate::outcome::termination::Termination;
+use crate::problem::constraints::quadratic_program::HalfSpace;
 use crate::values::choices::{BoundsHandling, ToleranceMeasure, Transform};
 use serde::{Deserialize, Serialize};
 
@@ -172,6 +173,10 @@ impl Polling {
     /// a frame of this scale.
     fn poll_step(&self, poll: &Poll, k: usize, scale: f64, out: &mut [f64]) {
         poll.direction(k, out);
+        if poll.is_conforming(k) {
+            out.iter_mut().for_each(|d| *d *= self.first * scale);
+            return;
+        }
         let mesh = scale.min(scale * scale);
         out.iter_mut().for_each(|d| *d = self.first * mesh * (scale * *d / mesh).round());
     }
@@ -184,6 +189,8 @@ impl Polling {
             let here = self.best.u(0)[k];
             *u = space.bring_inside(k, here + space.size(k) * step, here, BoundsHandling::Clamp);
         }
+        // The nearest feasible point. Its step follows the constraints.
+        space.restore(u);
         space.to_user(u, x);
         x != self.best.x(0)
     }
@@ -198,22 +205,52 @@ impl Polling {
 
     /// Returns the next poll from the best point. `n_refined` is the number of times that the frame has
     /// shrunk. `has_moved` is true if the point may have moved since.
-    fn next_poll(&self, n_refined: u64, has_moved: bool) -> Poll {
+    fn next_poll(&self, n_refined: u64, has_moved: bool, scale: f64) -> Poll {
         let (space, n) = (&self.setup.space, self.step.len());
         let way = |k: usize| (self.best.u(0)[k] - self.reference[k]) / space.size(k);
         let way: Vec<f64> = (0..n).map(way).collect();
-        if has_moved && way.iter().any(|w| *w != 0.0) {
+        let mut poll = if has_moved && way.iter().any(|w| *w != 0.0) {
             Poll::along(&way)
         } else if n_refined == 0 {
             Poll::along_axes(n)
         } else {
             Poll::of_halton(n, n_refined)
+        };
+        if !space.rows().is_empty() {
+            let near = self.near_rows(self.best.u(0), self.first * scale);
+            poll.conform(&near.map(|row| row.normal).collect::<Vec<_>>());
         }
+        poll
+    }
+
+    /// Returns the linear constraints and bounds within a distance of a point, in units of the parameter
+    /// sizes. The limits of these half-spaces are 0, so they contain the feasible directions.
+    pub(super) fn near_rows(&self, u: &[f64], distance: f64) -> impl Iterator<Item = HalfSpace> {
+        let (space, n) = (&self.setup.space, u.len());
+        let mut near = Vec::new();
+        for row in space.rows() {
+            let normal: Vec<f64> = row.normal.iter().enumerate().map(|(k, a)| a * space.size(k)).collect();
+            let length = normal.iter().map(|a| a * a).sum::<f64>().sqrt();
+            if row.limit - row.value(u) <= distance * length {
+                near.push(HalfSpace { normal, limit: 0.0 });
+            }
+        }
+        for k in 0..n {
+            let (lower, upper) = space.working_bounds(k);
+            for (sign, gap) in [(1.0, upper - u[k]), (-1.0, u[k] - lower)] {
+                if gap <= distance * space.size(k) {
+                    let mut normal = vec![0.0; n];
+                    normal[k] = sign;
+                    near.push(HalfSpace { normal, limit: 0.0 });
+                }
+            }
+        }
+        near.into_iter()
     }
 
     /// Starts a poll from the best point.
     fn begin_poll(&mut self) {
-        self.poll = self.next_poll(self.n_refined, true);
+        self.poll = self.next_poll(self.n_refined, true, self.scale);
         self.phase = Phase::Polling;
         self.go_to(0);
     }
@@ -324,6 +361,7 @@ impl Polling {
         self.operation = Some(operation);
         let oldest =
             (self.gains.len() == FRAMES && operation == Operation::Refinement).then(|| self.gains[0]);
+        let oldest = oldest.filter(|f| f.is_finite());
         let (f, size) = (self.best_cost(), self.frame_size());
         let tests = self.setup.tolerances.judge(size, oldest.map(|earlier| earlier - f), f, self.f_0);
         self.tests = Some(ToleranceTests { extent: TestedSet::Frame, ..tests });
@@ -348,8 +386,14 @@ impl Polling {
         for (k, step) in step.iter_mut().enumerate() {
             *step = (u[k] - best.u(0)[k]) / setup.space.size(k);
         }
+        let was_infeasible = matches!(best.cost(0), Cost::Infeasible(_));
         best.set(0, u, x);
         best.set_cost(0, cost);
+        if let (true, Some(f)) = (was_infeasible, cost.value()) {
+            // The first feasible point. Tests measure gains from here on.
+            self.f_0 = f.abs();
+            self.gains.clear();
+        }
     }
 
     /// Requests twice the last step, or ends the iteration if the doubled step does not move the point.
@@ -375,7 +419,7 @@ impl Polling {
     }
 
     fn started(&mut self) {
-        self.f_0 = self.best_cost().abs();
+        self.f_0 = self.best.cost(0).value().map_or(0.0, f64::abs);
         self.operation = Some(Operation::Initial);
         if self.step.is_empty() {
             self.phase = Phase::Ended(Termination::AllFixed);
@@ -407,10 +451,12 @@ impl Method for Polling {
     fn speculate(&mut self, wanted: usize, answers_so_far: &dyn AnswersSoFar, batch: &mut Batch) {
         // The rest of this poll, then the poll that follows if all its points fail or the step cannot be
         // doubled.
+        let half = 0.5 * self.scale;
+        let next_poll = |n_refined, has_moved, scale| (self.next_poll(n_refined, has_moved, scale), scale);
         let (rest, next) = match self.phase {
-            Phase::Starting => (0, (self.next_poll(1, false), 0.5 * self.scale)),
-            Phase::Polling => (self.place + 1, (self.next_poll(self.n_refined + 1, false), 0.5 * self.scale)),
-            Phase::Extending => (self.poll.len(), (self.next_poll(self.n_refined, true), self.scale)),
+            Phase::Starting => (0, next_poll(1, false, half)),
+            Phase::Polling => (self.place + 1, next_poll(self.n_refined + 1, false, half)),
+            Phase::Extending => (self.poll.len(), next_poll(self.n_refined, true, self.scale)),
             Phase::Descending => return self.speculate_on_descent(wanted, answers_so_far, batch),
             Phase::BesideFailures | Phase::NoStart | Phase::Ended(_) => return,
         };
@@ -443,12 +489,12 @@ impl Method for Polling {
         self.waiting = false;
         self.n_points += 1;
         let Some(outcome) = outcomes.first().filter(|outcome| outcome.is_conclusive()) else { return Ok(()) };
-        let cost = outcome.value().map_or(Cost::Failed, Cost::Value);
+        let cost = Cost::of(outcome, &self.setup.constraints, answers.constraints(0));
         // With a cutoff, the evaluation of a failing point might have stopped before the failure.
         if cost == Cost::Failed && self.phase == Phase::Descending {
             self.failed.remember(&self.trial.1);
         }
-        let gains = cost.value().is_some_and(|cost| cost < self.best_cost());
+        let gains = cost.better_than(self.best.cost(0));
         match self.phase {
             Phase::Starting => {
                 self.best.set_cost(0, cost);
@@ -492,6 +538,13 @@ impl Method for Polling {
             | Phase::Extending
             | Phase::Descending
             | Phase::BesideFailures => Status::Running,
+        }
+    }
+
+    fn best_violation(&self) -> f64 {
+        match self.best.cost(0) {
+            Cost::Infeasible(violation) => violation,
+            _ => 0.0,
         }
     }
 

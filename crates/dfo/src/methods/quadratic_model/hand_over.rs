@@ -4,7 +4,7 @@ use super::inverse::median;
 use super::iteration::{FAR, MOST_REFUSED, norm};
 use super::state::{ModelSearch, Phase};
 use crate::method_interface::interface::Roughness;
-use crate::methods::cma_es::PopulationSearch;
+use crate::methods::cma_es::{CmaEs, PopulationSearch};
 use crate::methods::nelder_mead::{NelderMead, SimplexSearch};
 use crate::methods::shared::cost::Cost;
 
@@ -108,10 +108,16 @@ impl ModelSearch {
             return false;
         };
         if hidden {
+            if !self.is_supported_by(&CmaEs::default()) {
+                return false;
+            }
             let search = PopulationSearch::new(&self.setup, &start, (n_batches, n_points));
             let Ok(search) = search else { return false };
             (self.population, self.phase) = (Some(Box::new(search)), Phase::HandedOver);
             return true;
+        }
+        if !self.is_supported_by(&NelderMead::default()) {
+            return false;
         }
         let simplex = SimplexSearch::new(&NelderMead::default(), &self.setup, &start, n_batches, n_points);
         let (Ok(mut simplex), Cost::Value(cost)) = (simplex, cost) else { return false };

@@ -251,7 +251,8 @@ impl Inverse {
     }
 
     /// Returns a displacement from the point `from` at which the Lagrange polynomial of a point is large. The
-    /// displacement has at most the given length and is within the bounds. It is along the gradient of the
+    /// displacement has at most the given length, is within the bounds, and is moved into other constraints
+    /// by `inside`. It is along the gradient of the
     /// polynomial, or towards another point (BOBYQA's ALTMOV: Powell, report DAMTP 2009/NA06, section 3).
     pub(super) fn far_from_zero(
         &self,
@@ -260,6 +261,7 @@ impl Inverse {
         length: f64,
         lower: &[f64],
         upper: &[f64],
+        inside: impl Fn(Vec<f64>) -> Vec<f64>,
     ) -> Vec<f64> {
         let polynomial = self.polynomial(place);
         let base = self.point(from);
@@ -273,7 +275,8 @@ impl Inverse {
             (0..self.n).map(|k| (share * direction[k]).clamp(lower[k], upper[k])).collect()
         };
         let towards: Vec<f64> = self.point(place).iter().zip(base).map(|(y, base)| y - base).collect();
-        let steps = [&slope, &towards].into_iter().flat_map(|v| [along(v, length), along(v, -length)]);
+        let steps =
+            [&slope, &towards].into_iter().flat_map(|v| [along(v, length), along(v, -length)]).map(inside);
         let valued = steps.map(|s| (value(&s), s)).filter(|(value, _)| value.is_finite());
         let best = valued.reduce(|best, other| if other.0 > best.0 { other } else { best });
         best.map_or_else(|| vec![0.0; self.n], |(_, s)| s)

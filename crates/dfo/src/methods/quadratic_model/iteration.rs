@@ -5,6 +5,7 @@ use super::state::{ModelSearch, Phase};
 use super::subproblem::{Region, minimize};
 use super::truncated_cg;
 use crate::method_interface::tolerances::{TestedSet, ToleranceTests};
+use crate::methods::cma_es::CmaEs;
 use crate::methods::failure_check::FailureCheck;
 use crate::methods::shared::failures::{Plane, plane};
 use crate::outcome::termination::Termination;
@@ -24,7 +25,7 @@ pub(super) const FAR: f64 = 10.0;
 const FAR_RESOLUTIONS: f64 = 200.0;
 /// Minimum spread of the points along any direction, in units of the radius, with which they determine the
 /// gradient.
-const POISED: f64 = 0.3;
+pub(super) const POISED: f64 = 0.3;
 /// Relative decrease of the cost below which a restart counts as unsuccessful.
 const NO_PROGRESS: f64 = 1e-9;
 /// Factor by which failed steps are shortened. A smaller factor would lead straight to where the objective
@@ -91,20 +92,24 @@ impl ModelSearch {
         let moved = self.displacement(from, self.points.u(base));
         self.model.gradient = self.model.slope(&moved);
         self.interpolation = self.interpolate();
-        let f = self.cost(base);
+        let f = self.objective(base);
         let Some(points) = &self.interpolation else { return };
-        let values: Vec<f64> = points.slots.iter().map(|&slot| self.cost(slot) - f).collect();
+        let values: Vec<f64> = points.slots.iter().map(|&slot| self.objective(slot) - f).collect();
         if !points.update(&mut self.model, &values) {
             self.model = Quadratic::zero(self.setup.space.n_free());
             if !points.update(&mut self.model, &values) {
                 self.interpolation = None;
             }
         }
+        self.refit_constraints(&moved);
     }
 
     /// Replaces the model by the model of least norm if the slope of the latter is much smaller (Powell,
     /// NA06, section 6, waits for three consecutive cases).
     fn compare_with_least_norm(&mut self) {
+        if self.nonlinear.is_some() {
+            return;
+        }
         if self.has_many() {
             self.compare_inverse_with_least_norm();
             return;
@@ -124,6 +129,9 @@ impl ModelSearch {
     /// True if the slope of the model is much larger than the slope of another. Components blocked by bounds
     /// are ignored.
     pub(super) fn is_much_steeper_than(&self, other: &[f64]) -> bool {
+        if self.has_rows() {
+            return self.free_slope(&self.model.gradient) >= 10.0 * self.free_slope(other);
+        }
         let (lower, upper) = self.margins();
         let slope = |gradient: &[f64]| {
             let inward = |(k, g): (usize, &f64)| {
@@ -162,7 +170,7 @@ impl ModelSearch {
     }
 
     /// Returns the best step of the model that avoids failed points.
-    fn best_step(&self) -> Vec<f64> {
+    pub(super) fn best_step(&self) -> Vec<f64> {
         let (lower, upper) = self.margins();
         let region = Region { radius: self.delta, lower: &lower, upper: &upper };
         let mut step = self.step_within(&self.model, region);
@@ -200,7 +208,11 @@ impl ModelSearch {
     }
 
     fn step_within(&self, model: &Quadratic, region: Region<'_>) -> Vec<f64> {
-        if self.has_many() {
+        if self.nonlinear.is_some() {
+            self.constrained_step(model)
+        } else if self.has_rows() {
+            self.step_within_rows(model)
+        } else if self.has_many() {
             truncated_cg::minimize(|v| self.product(&model.hessian, v), &model.gradient, region)
         } else {
             minimize(model, region)
@@ -222,7 +234,8 @@ impl ModelSearch {
             }
         };
         let tests = tolerances.judge(size, Some(predicted.max(0.0)), self.cost(base), self.f_0);
-        ToleranceTests { extent: TestedSet::Model, ..tests }
+        let passed = tests.passed && self.is_feasible();
+        ToleranceTests { extent: TestedSet::Model, passed, ..tests }
     }
 
     /// Sets the trust-region radius, with the resolution as lower limit.
@@ -241,8 +254,9 @@ impl ModelSearch {
                 self.end(if alone { Termination::AllFailed } else { Termination::Collapsed });
                 return;
             }
+            self.adapt_penalty();
             let s = self.best_step();
-            let predicted = -self.value(&s);
+            let predicted = -self.change(&s);
             self.tests = Some(self.judge(predicted));
             let visible = f64::EPSILON * self.cost(self.base()).abs();
             if norm(&s) >= 0.5 * self.rho && predicted > visible && self.place_trial(&s) {
@@ -268,6 +282,7 @@ impl ModelSearch {
             let (lower, upper) = space.working_bounds(k);
             *u = (*u + s[k] * space.size(k)).clamp(lower, upper);
         }
+        space.shorten(self.points.u(self.base()), &mut u);
         let is_repeat =
             self.failed.contains(&u) || (0..self.points.len()).any(|slot| self.points.u(slot) == u);
         if is_repeat || u.iter().any(|u| !u.is_finite()) {
@@ -284,6 +299,11 @@ impl ModelSearch {
         if self.has_many() {
             return self.replace_farthest(poised);
         }
+        self.improve_within(poised, f64::INFINITY, self.delta)
+    }
+
+    /// Improves the geometry with a point at the distance `reach`. Only points within `near` count.
+    pub(super) fn improve_within(&mut self, poised: f64, near: f64, reach: f64) -> bool {
         let limit = (FAR * self.delta).max(FAR_RESOLUTIONS * self.rho);
         let n = self.n();
         let (mut slot, before) = (0, self.points.len());
@@ -296,9 +316,9 @@ impl ModelSearch {
                 continue;
             }
             slot += 1;
-            if length.is_finite() {
-                // A point outside the radius counts like a point at the radius.
-                let unit = length.max(self.delta);
+            if length.is_finite() && length <= near {
+                // A point outside this distance counts like a point at this distance.
+                let unit = length.max(reach);
                 spread.ger(
                     1.0 / (unit * unit),
                     &DVector::from_column_slice(&y),
@@ -322,15 +342,16 @@ impl ModelSearch {
         let towards = |length: f64| {
             let s: Vec<f64> =
                 direction.iter().enumerate().map(|(k, v)| (length * v).clamp(lower[k], upper[k])).collect();
+            let s = self.nearest_inside(s);
             let along = s.iter().zip(direction.iter()).map(|(s, v)| s * v).sum::<f64>().abs();
             (s, along)
         };
-        let (mut first, mut second) = (towards(self.delta), towards(-self.delta));
+        let (mut first, mut second) = (towards(reach), towards(-reach));
         if second.1 > first.1 {
             std::mem::swap(&mut first, &mut second);
         }
-        for (s, along) in [first, second, towards(0.25 * self.delta), towards(-0.25 * self.delta)] {
-            if along > 2.0 * have.min(POISED) * self.delta && self.place_trial(&s) {
+        for (s, along) in [first, second, towards(0.25 * reach), towards(-0.25 * reach)] {
+            if along > 2.0 * have.min(POISED) * reach && self.place_trial(&s) {
                 self.phase = Phase::Geometry;
                 return true;
             }
@@ -348,7 +369,7 @@ impl ModelSearch {
             self.remember_failed(self.trial.u(0).to_vec());
             return;
         };
-        self.note_error(self.cost(base) + self.value(&s) - cost);
+        self.note_error(self.cost(base) + self.change(&s) - cost);
         self.take_trial(&from, &s, cost < self.cost(base));
     }
 
@@ -463,9 +484,9 @@ impl ModelSearch {
 
     /// True if the slope error of the model along the last failed step may hide a decrease. The hidden
     /// decrease within the extent of the model must exceed the limit of the f test.
-    fn may_be_steep(&self) -> bool {
+    pub(super) fn may_be_steep(&self) -> bool {
         let hidden = self.refused.map_or(0.0, |error| error * self.extent());
-        let predicted = -self.value(&self.best_step());
+        let predicted = -self.change(&self.best_step());
         hidden > 0.0 && !self.judge(predicted.max(0.0) + hidden).passed
     }
 
@@ -484,6 +505,10 @@ impl ModelSearch {
         }
         let best = self.base();
         let least = self.tests.map_or(0.0, |tests| tests.f_limit);
+        if !self.is_supported_by(&CmaEs::default()) {
+            self.phase = Phase::Ended(Termination::BesideFailures);
+            return;
+        }
         let point = (self.points.x(best), self.cost(best));
         self.phase = match FailureCheck::new(&self.setup, point, least, self.rounds.counts()) {
             Ok(check) => {
@@ -497,14 +522,15 @@ impl ModelSearch {
     /// Ends the search, reduces the resolution, or restarts after the resolution is exhausted.
     fn refine(&mut self) {
         self.fold();
+        if self.continues_after_check() {
+            return;
+        }
         let found = self.look_for_roughness();
         self.roughness = found.or(self.roughness);
         if self.hand_over && (found.is_some() || self.n_undecided > 0) && self.hand_over() {
             return;
         }
-        let tests = self.tests.filter(|tests| tests.passed);
-        let is_inaccurate = tests.is_some_and(|tests| self.last_errors.iter().any(|e| *e > tests.f_limit));
-        let passed = tests.is_some() && !is_inaccurate && !self.may_be_steep();
+        let (passed, is_inaccurate) = (self.has_passed(), self.is_inaccurate());
         if passed {
             self.n_smooth = if found.is_some() { 0 } else { self.n_smooth + 1 };
         }

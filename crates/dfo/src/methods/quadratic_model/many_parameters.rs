@@ -19,7 +19,7 @@ const FAR_RESOLUTIONS: f64 = 10.0;
 
 impl ModelSearch {
     pub(super) fn has_many(&self) -> bool {
-        self.n() > MOST_FROM_SCRATCH
+        self.n() > MOST_FROM_SCRATCH && self.nonlinear.is_none()
     }
 
     /// Prepares the inverse for the next step. The existing inverse is kept while it is accurate.
@@ -159,7 +159,8 @@ impl ModelSearch {
         }
         let radius = (0.1 * far).min(self.delta).max(self.rho);
         let (lower, upper) = self.margins();
-        let s = inverse.far_from_zero(place, from, radius, &lower, &upper);
+        let inside = |s| self.nearest_inside(s);
+        let s = inverse.far_from_zero(place, from, radius, &lower, &upper, inside);
         if norm(&s) > 0.0 && self.place_trial(&s) {
             self.phase = Phase::Geometry;
             return true;

@@ -13,7 +13,9 @@
 //!
 //! **Tests.** The x test measures the resolution. The f test measures the decrease predicted by the model.
 //! The tests are applied when a resolution is exhausted. They count only if the model predicted the last two
-//! costs to within the limit of the f test.
+//! costs to within the limit of the f test, and if points within a few resolutions determine its slope. If
+//! the model then predicts a decrease farther away, the search continues with a larger resolution
+//! (`final_check.rs`).
 //!
 //! **Restarts.** If steps fail at several resolutions although the model predicts a decrease, the cost has
 //! noise or a kink. New points are then placed around the best one, as far away as the first points
@@ -35,6 +37,16 @@
 //! is retried nearer to the start and on the other side. If the search ends next to failed points, it
 //! continues with CMA-ES, which searches for a lower cost between them (`failure_check.rs`).
 //!
+//! **Linear constraints.** Every requested point satisfies them. The steps are those of an active-set
+//! iteration (`polyhedron.rs`). First points outside are moved to a sphere inside, and points that improve
+//! the model to the nearest feasible ones (`rows.rs`; LINCOA: Powell, Math. Program. Comput. 7, 2015).
+//!
+//! **Nonlinear constraints** may be violated on the way. Each has a model through the same points, and the
+//! points rank by a merit function (`nonlinear.rs`). The steps are those of sequential quadratic programming
+//! on the models (`sqp.rs`; COBYQA: Ragonneau, thesis, Hong Kong 2022). If a constraint forbids the
+//! evaluation of the cost, the point refines the models of the constraints only. The tests pass only at a
+//! feasible point. The conditions of the interpolation are solved from scratch for any number of parameters.
+//!
 //! **Cutoffs**: none, because a model needs the value of every point.
 //!
 //! **Time**: O((4n)^3) operations per point up to 20 parameters: 11 microseconds for 2, 0.2 ms for 10, 0.6 ms
@@ -43,13 +55,19 @@
 //! (`many_parameters.rs`, `inverse.rs`, `truncated_cg.rs`). As in NEWUOA, this requires O(n^2) operations per
 //! point (`benches/overhead.rs`).
 
+mod constraint_models;
+mod final_check;
 mod hand_over;
 mod initial;
 mod inverse;
 mod iteration;
 mod many_parameters;
 mod model;
+mod nonlinear;
 mod options;
+mod polyhedron;
+mod rows;
+mod sqp;
 mod state;
 mod subproblem;
 mod truncated_cg;
@@ -66,9 +84,10 @@ use state::ModelSearch;
 /// A running search on quadratic models, created by [`QuadraticModel`].
 pub type QuadraticModelState = WithSizes<QuadraticModel>;
 
-/// Returns the setup without bounds that mean "unbounded".
+/// Returns the setup without bounds that mean "unbounded", and with sizes that are either all widths or all
+/// magnitudes.
 fn prepared(setup: &Setup) -> Setup {
-    Setup { space: setup.space.without_far_bounds(), ..setup.clone() }
+    Setup { space: setup.space.without_far_bounds().with_comparable_sizes(), ..setup.clone() }
 }
 
 impl NeedsSizes for QuadraticModel {
@@ -99,6 +118,14 @@ impl MethodOptions for QuadraticModel {
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<QuadraticModelState, Error> {
         WithSizes::restore(self, prepared(setup), state)
+    }
+
+    fn supports_linear(&self) -> bool {
+        true
+    }
+
+    fn supports_nonlinear(&self) -> bool {
+        true
     }
 
     fn describe(&self) -> Vec<(String, String)> {

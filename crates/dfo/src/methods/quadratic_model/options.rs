@@ -13,6 +13,9 @@ pub(super) const MOST_FROM_SCRATCH: usize = 20;
 /// The x test measures the smallest trust region at which the model was exhausted. The f test measures the
 /// decrease that the model still predicts there.
 ///
+/// If a box is too wide to determine the size of a parameter (see [`typical_size`](crate::typical_size)), no
+/// box determines a size: all linear parameters without a given size have the size |x0|.
+///
 /// ```
 /// use dfo::{QuadraticModel, minimize};
 ///

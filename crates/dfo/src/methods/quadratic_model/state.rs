@@ -1,5 +1,6 @@
 //! State machine of the search on quadratic models: requested points and the processing of their costs.
 
+use super::constraint_models::Nonlinear;
 use super::initial;
 use super::inverse::Inverse;
 use super::model::{Interpolation, Quadratic};
@@ -113,6 +114,17 @@ pub struct ModelSearch {
     /// Errors of the model at the last two points since the last start, newest first.
     #[serde(default)]
     pub(super) last_errors: [f64; 2],
+    /// Nonlinear constraints, if there are any. The costs of `points` are then merits.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) nonlinear: Option<Box<Nonlinear>>,
+    /// Number of near points requested since the tests passed, number of consecutive returns to a larger
+    /// resolution without a lower cost, and the cost at the last return.
+    #[serde(default)]
+    pub(super) n_checked: usize,
+    #[serde(default)]
+    pub(super) n_returns: usize,
+    #[serde(default)]
+    pub(super) f_return: Option<f64>,
 }
 
 impl ModelSearch {
@@ -153,11 +165,14 @@ impl ModelSearch {
             n_smooth: 0,
             n_undecided: 0,
             last_errors: [f64::INFINITY; 2],
+            nonlinear: (!setup.constraints.nonlinear.is_empty()).then(Box::default),
+            n_checked: 0,
+            n_returns: 0,
+            f_return: None,
             most_points,
             setup,
         };
-        let x0 = state.setup.space.x0().to_vec();
-        state.points.place_exactly(0, &x0, &state.setup.space);
+        state.place_first();
         state.place_around();
         state
     }
@@ -184,6 +199,11 @@ impl ModelSearch {
             && self.trial.len() == 1
             && self.rounds.is_sound(space.n())
             && self.model.is_sound(n)
+            && self.nonlinear.is_some() != setup.constraints.nonlinear.is_empty()
+            && self
+                .nonlinear
+                .as_ref()
+                .is_none_or(|nonlinear| nonlinear.is_sound(n, space.n(), setup.constraints.nonlinear.len()))
             && self.inverse.as_ref().is_none_or(|inverse| inverse.is_sound(n, self.points.len()))
             && self.failed.iter().all(|u| u.len() == n)
             && !self.retries.is_empty()
@@ -212,6 +232,7 @@ impl ModelSearch {
         let centre = self.points.u(0).to_vec();
         let mut u = centre.clone();
         initial::place(space, &centre, slot, self.radius, self.retries[slot], &mut u);
+        self.place_start_inside(&centre, slot, &mut u);
         self.points.place(slot, &u, space);
     }
 
@@ -250,6 +271,7 @@ impl ModelSearch {
             return;
         }
         self.model = Quadratic::zero(self.n());
+        self.reset_constraints();
         self.phase = Phase::Choosing;
         let from = self.points.u(self.points.best()).to_vec();
         self.refit(&from);
@@ -312,10 +334,13 @@ impl Method for ModelSearch {
             return Ok(());
         }
         if self.phase == Phase::Starting {
-            if self.rounds.tell(answers, &mut self.points)? {
+            let is_complete = self.rounds.tell(answers, &mut self.points)?;
+            self.take_constraints(answers, true);
+            if is_complete {
                 self.start_evaluated();
             }
         } else if self.rounds.tell(answers, &mut self.trial)? {
+            self.take_constraints(answers, false);
             self.complete();
             self.n_iterations += 1;
             self.operation = Some(Operation::TrustRegionStep);
@@ -363,7 +388,12 @@ impl Method for ModelSearch {
         if let Some(population) = &self.population {
             return population.details(details);
         }
-        let details = MethodDetails { population: Some(self.points.view()), ..details };
+        let mut view = self.points.view();
+        if let Some(nonlinear) = self.nonlinear.as_ref().filter(|n| n.costs.len() == self.points.len()) {
+            view.costs = &nonlinear.costs;
+        }
+        let multipliers = self.active_constraints();
+        let details = MethodDetails { population: Some(view), multipliers, ..details };
         match &self.check {
             Some(check) => check.details(details),
             None => details,
@@ -371,7 +401,7 @@ impl Method for ModelSearch {
     }
 
     fn best(&self) -> Option<(&[f64], f64)> {
-        let of_rounds = self.rounds.best();
+        let of_rounds = self.nonlinear.as_ref().map_or(self.rounds.best(), |nonlinear| nonlinear.best());
         let found = match &self.check {
             Some(check) => Some(check.best()),
             None => match (&self.simplex, &self.population) {

@@ -17,9 +17,9 @@ pub(super) struct Region<'a> {
 }
 
 /// Solution for the free coordinates in the ball alone, and its Lagrange multiplier.
-struct Part {
-    p: DVector<f64>,
-    multiplier: f64,
+pub(super) struct Part {
+    pub(super) p: DVector<f64>,
+    pub(super) multiplier: f64,
 }
 
 /// Returns the step in the region that (nearly) minimises a model.
@@ -99,7 +99,7 @@ pub(super) fn minimize(model: &Quadratic, region: Region<'_>) -> Vec<f64> {
 }
 
 /// Returns the step that minimises the model within `|p| <= radius`.
-fn within_ball(hessian: DMatrix<f64>, gradient: &DVector<f64>, radius: f64) -> Option<Part> {
+pub(super) fn within_ball(hessian: DMatrix<f64>, gradient: &DVector<f64>, radius: f64) -> Option<Part> {
     let n = gradient.len();
     let SymmetricEigen { eigenvectors, eigenvalues } =
         SymmetricEigen::try_new(hessian, f64::EPSILON, MOST_SWEEPS * n)?;

@@ -10,8 +10,9 @@ use crate::method_interface::tolerances::{TestedSet, ToleranceTests};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::pending_generation::PendingGeneration;
 use crate::methods::shared::ranked_points::RankedPoints;
-use crate::outcome::answer::Answers;
+use crate::outcome::answer::{Answers, Outcome};
 use crate::outcome::termination::Termination;
+use crate::problem::constraints::Constraints;
 use crate::problem::memory;
 use crate::problem::space::Space;
 use serde::de::DeserializeOwned;
@@ -53,23 +54,29 @@ pub trait GenerationRules: Serialize + DeserializeOwned {
     }
 
     /// Returns the reason for termination after a generation whose tests did not pass, if the run has ended.
-    /// `best` is the smallest cost so far.
-    fn ended(&mut self, pool: &Populations, best: f64) -> Option<Termination>;
+    /// `best` is the best cost so far.
+    fn ended(&mut self, pool: &Populations, best: Cost) -> Option<Termination>;
+
+    /// Returns the cost by which the member or candidate in a slot ranks. `values` are the values of the
+    /// nonlinear constraints.
+    fn cost_of(&mut self, slot: usize, outcome: &Outcome, constraints: &Constraints, values: &[f64]) -> Cost {
+        let _ = slot;
+        Cost::of(outcome, constraints, values)
+    }
 
     /// Returns the part of the population that the tolerance tests measure.
     fn extent(&self) -> TestedSet {
         TestedSet::Population
     }
 
-    /// Applies the tolerance tests to the best points of all generations, if the population is a poor measure
-    /// of convergence.
-    fn judge_best_seen(&self, setup: &Setup, f_0: f64) -> Option<ToleranceTests> {
-        let _ = (setup, f_0);
+    /// Applies the tolerance tests to other points, if the population is a poor measure of convergence.
+    fn judge_others(&self, pool: &Populations, f_0: f64) -> Option<ToleranceTests> {
+        let _ = (pool, f_0);
         None
     }
 
-    /// True if the search continues after all members have reached the same point with integer coordinates.
-    /// It then continues until it stalls.
+    /// True if the search continues although the tests have passed, in order to try other integers. A search
+    /// that always continues ends when it stalls.
     fn tries_neighbours(&self, space: &Space) -> bool {
         let _ = space;
         false
@@ -77,8 +84,8 @@ pub trait GenerationRules: Serialize + DeserializeOwned {
 
     /// Restarts after the end of a search, possibly with another population. Returns true if the search
     /// continues.
-    fn restart(&mut self, pool: &Populations) -> bool {
-        let _ = pool;
+    fn restart(&mut self, pool: &Populations, f_0: f64) -> bool {
+        let _ = (pool, f_0);
         false
     }
 
@@ -180,28 +187,30 @@ impl<B: GenerationRules> Generations<B> {
 
     fn end_generation(&mut self) {
         self.rules.select(&mut self.pool);
-        let Populations { population, setup, .. } = &mut self.pool;
-        population.rank();
+        self.pool.population.rank();
         self.n_iterations += 1;
-        let tests = self.rules.judge_best_seen(setup, self.f_0).unwrap_or_else(|| {
+        let tests = self.rules.judge_others(&self.pool, self.f_0).unwrap_or_else(|| {
+            let Populations { population, setup, .. } = &self.pool;
             population.judge(self.rules.extent(), &setup.space, &setup.tolerances, self.f_0)
         });
         self.tests = Some(tests);
-        let best = self.rounds.best().map_or(f64::INFINITY, |(_, f)| f);
+        let best = self.rounds.best_cost();
+        let (is_feasible, f_best) =
+            (!matches!(best, Cost::Infeasible(_)), best.value().unwrap_or(f64::INFINITY));
         let ended = match self.rules.ended(&self.pool, best) {
-            _ if tests.passed && !self.rules.tries_neighbours(&self.pool.setup.space) => {
+            _ if tests.passed && is_feasible && !self.rules.tries_neighbours(&self.pool.setup.space) => {
                 Some(Termination::Converged)
             }
             // No untried neighbour is left.
-            Some(Termination::Collapsed) if tests.passed => Some(Termination::Converged),
+            Some(Termination::Collapsed) if tests.passed && is_feasible => Some(Termination::Converged),
             other => other,
         };
-        if let Some(earlier) = self.passed.filter(|earlier| best >= earlier.f_best) {
+        if let Some(earlier) = self.passed.filter(|earlier| f_best >= earlier.f_best) {
             self.tests = Some(earlier);
         }
         self.phase = match ended {
             None => Phase::Proposing,
-            Some(_) if self.rules.restart(&self.pool) => {
+            Some(_) if self.rules.restart(&self.pool, self.f_0) => {
                 self.passed = self.tests.filter(|tests| tests.passed);
                 Phase::Proposing
             }
@@ -243,9 +252,10 @@ impl<B: GenerationRules> Method for Generations<B> {
             return;
         }
         let cost = |slot: usize| match tried.cost(slot) {
-            Cost::Pending => {
-                rounds.place_of(slot).and_then(|k| answers_so_far.answer(k)).map(|a| Cost::of(&a.outcome))
-            }
+            Cost::Pending => rounds
+                .place_of(slot)
+                .and_then(|k| answers_so_far.answer(k))
+                .map(|a| Cost::of(&a.outcome, &pool.setup.constraints, &a.constraints)),
             cost => Some(cost),
         };
         let mut left = wanted;
@@ -258,11 +268,16 @@ impl<B: GenerationRules> Method for Generations<B> {
     }
 
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
-        if self.phase == Phase::Starting {
-            if self.rounds.tell(answers, &mut self.pool.population)? {
+        let Self { rules, pool: Populations { setup, population, candidates, .. }, rounds, phase, .. } = self;
+        let constraints = &setup.constraints;
+        let cost_of = |slot: usize, k: usize| {
+            rules.cost_of(slot, &answers.outcomes()[k], constraints, answers.constraints(k))
+        };
+        if *phase == Phase::Starting {
+            if rounds.tell_ranked(answers, constraints, population, cost_of)? {
                 self.start_evaluated();
             }
-        } else if self.rounds.tell(answers, &mut self.pool.candidates)? {
+        } else if rounds.tell_ranked(answers, constraints, candidates, cost_of)? {
             self.end_generation();
         }
         Ok(())
@@ -297,6 +312,10 @@ impl<B: GenerationRules> Method for Generations<B> {
 
     fn best(&self) -> Option<(&[f64], f64)> {
         self.rounds.best()
+    }
+
+    fn best_violation(&self) -> f64 {
+        self.rounds.best_violation()
     }
 
     fn save(&self) -> Option<Vec<u8>> {

@@ -25,6 +25,12 @@ impl RankedPoints {
     pub(crate) fn place_exactly(&mut self, slot: usize, x: &[f64], space: &Space) {
         space.to_working(x, self.u_mut(slot));
         self.x_mut(slot).copy_from_slice(x);
+        if !space.satisfies_rows(self.u(slot)) {
+            // Only by rounding, because given points satisfy the linear constraints up to rounding.
+            space.restore(self.u_mut(slot));
+            let u = self.u(slot).to_vec();
+            space.to_user(&u, self.x_mut(slot));
+        }
         self.set_cost(slot, Cost::Pending);
     }
 
@@ -118,9 +124,19 @@ impl RankedPoints {
         tolerances: &Tolerances,
         f_0: f64,
     ) -> ToleranceTests {
+        let is_same = |slot: &usize| {
+            let mut integers =
+                space.free().iter().enumerate().filter(|(k, _)| space.kind(*k) != ParameterKind::Continuous);
+            integers.all(|(_, &i)| self.x(*slot)[i] == self.x(self.best())[i])
+        };
+        let same: Vec<usize> = match extent {
+            TestedSet::SameIntegers => self.order.iter().copied().filter(is_same).collect(),
+            _ => Vec::new(),
+        };
         let counted = match extent {
             // A single member has no other member to compare with.
             TestedSet::BestEighth => &self.order[..self.len().div_ceil(8).max(2).min(self.len())],
+            TestedSet::SameIntegers if same.len() > 1 => &same,
             _ => &self.order[..],
         };
         let best = self.best();

@@ -102,9 +102,9 @@ impl RankedPoints {
         self.costs.contains(&Cost::Pending)
     }
 
-    /// Returns the number of points with a finite cost.
+    /// Returns the number of points with a finite cost or a known violation of constraints.
     pub(crate) fn n_finite(&self) -> usize {
-        self.values.iter().flatten().count()
+        self.costs.iter().filter(|cost| cost.is_ranked()).count()
     }
 
     /// True if all points equal the best point up to rounding.
@@ -123,7 +123,8 @@ impl RankedPoints {
     }
 
     pub(crate) fn view(&self) -> SimplexView<'_> {
-        SimplexView { n: self.n_user, x: &self.x, costs: &self.values, order: &self.order }
+        let Self { n_user, x, costs, values, order, .. } = self;
+        SimplexView { n: *n_user, x, costs: values, ranked: costs, order }
     }
 
     /// True if all lengths are consistent and all points are in the box. State loaded from a file may be
@@ -139,6 +140,7 @@ impl RankedPoints {
             && (0..len).all(|slot| space.bounds().contains(self.x(slot)))
             && self.values.iter().copied().eq(self.costs.iter().map(|cost| cost.value()))
             && self.values.iter().flatten().all(|value| value.is_finite())
+            && !self.costs.iter().any(|cost| matches!(cost, Cost::Infeasible(v) if v.is_nan() || *v <= 0.0))
             && slots.into_iter().eq(0..len)
     }
 }

@@ -46,8 +46,13 @@ pub struct WithSizes<O: NeedsSizes> {
     best: Best,
 }
 
+/// With constraints, unknown sizes stay 1, because steps of powers of ten along a parameter leave the
+/// feasible set.
 fn knows_sizes(setup: &Setup) -> bool {
-    !setup.start_given || (0..setup.space.n_free()).all(|k| !setup.space.size_is_unknown(k))
+    let has_constraints = setup.space.has_linear() || !setup.constraints.nonlinear.is_empty();
+    has_constraints
+        || !setup.start_given
+        || (0..setup.space.n_free()).all(|k| !setup.space.size_is_unknown(k))
 }
 
 impl<O: NeedsSizes> WithSizes<O> {
@@ -193,6 +198,11 @@ impl<O: NeedsSizes> Method for WithSizes<O> {
             self.search().and_then(Method::best),
         ];
         seen.into_iter().flatten().reduce(|best, other| if other.1 < best.1 { other } else { best })
+    }
+
+    fn best_violation(&self) -> f64 {
+        // With constraints, there is only the search.
+        self.search().map_or(0.0, Method::best_violation)
     }
 
     fn save(&self) -> Option<Vec<u8>> {

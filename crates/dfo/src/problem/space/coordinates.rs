@@ -1,6 +1,7 @@
 //! Map between the user's parameters and the coordinates that methods see.
 
 use super::bounds::{Bounds, clamp, fold};
+use super::linear_set::LinearSet;
 use crate::error::Error;
 use crate::problem::option_texts;
 use crate::values::choices::{BoundsHandling, ParameterKind, ToleranceMeasure, Transform};
@@ -34,6 +35,9 @@ pub struct Space {
     /// For the lower and the upper bound: true if the bound is ignored, see
     /// [`without_far_bounds`](Self::without_far_bounds).
     pub(super) far: Vec<[bool; 2]>,
+    /// Linear constraints.
+    #[serde(default, skip_serializing_if = "LinearSet::is_empty")]
+    pub(super) linear: LinearSet,
 }
 
 /// True for the space of a search that starts from a point. The method determines this flag, so two spaces
@@ -105,6 +109,14 @@ fn widest(transform: Transform, magnitude: f64) -> f64 {
     }
 }
 
+/// The range of a working coordinate that rounds to one integer.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct IntegerCell {
+    pub(crate) low: f64,
+    pub(crate) centre: f64,
+    pub(crate) high: f64,
+}
+
 impl Space {
     /// Checks and creates a space. `transforms` and `sizes` may be empty (all linear, all default sizes). The
     /// size of a logarithmic parameter is in units of `ln x`.
@@ -148,6 +160,7 @@ impl Space {
             boxed: Vec::new(),
             is_local: Local(false),
             far: Vec::new(),
+            linear: LinearSet::default(),
         };
         for index in 0..n {
             let transform = transforms.get(index).copied().unwrap_or_default();
@@ -228,6 +241,23 @@ impl Space {
         space
     }
 
+    /// Returns this space with |x0| as the size of each linear parameter if a box is too wide to determine
+    /// the size of any of them. Otherwise, a box just below the limit and one just above it would give sizes
+    /// that differ by a factor of 100. Given sizes, and the sizes of parameters that start at zero, are kept.
+    pub(crate) fn with_comparable_sizes(mut self) -> Self {
+        let is_default = |k: usize| self.transforms[k] == Transform::Linear && !self.size_given[k];
+        let has_wide_box = |k: usize| (self.upper[k] - self.lower[k]).is_finite() && self.is_wide(k);
+        if (0..self.n_free()).any(|k| is_default(k) && has_wide_box(k)) {
+            for (k, &i) in self.free.iter().enumerate() {
+                let magnitude = magnitude_of(self.x0[i]);
+                if self.transforms[k] == Transform::Linear && !self.size_given[k] && magnitude >= TINY {
+                    self.sizes[k] = magnitude;
+                }
+            }
+        }
+        self
+    }
+
     /// True if the box is too wide to determine the size of coordinate `k`, see [`typical_size`].
     fn is_wide(&self, k: usize) -> bool {
         let size_given_by_user = self.size_given[k].then(|| self.sizes[k]);
@@ -297,12 +327,40 @@ impl Space {
         self.kinds[k]
     }
 
+    /// Returns the integer nearest to working coordinate `u` of a discrete parameter `k`, and the ends of the
+    /// range that rounds to it, all as working coordinates. The ends of the outermost ranges are infinite.
+    pub(crate) fn integer_cell(&self, k: usize, u: f64) -> IntegerCell {
+        let i = self.free[k];
+        let (lower, upper) = (self.bounds.lower()[i].ceil(), self.bounds.upper()[i].floor());
+        let (value, working): (f64, fn(f64) -> f64) = match self.transforms[k] {
+            Transform::Linear => (u, |x| x),
+            Transform::Log => (u.exp(), f64::ln),
+        };
+        let value = value.round().clamp(lower, upper);
+        IntegerCell {
+            low: if value > lower { working(value - 0.5) } else { f64::NEG_INFINITY },
+            centre: working(value),
+            high: if value < upper { working(value + 0.5) } else { f64::INFINITY },
+        }
+    }
+
     /// Checks that all free parameters are continuous, for methods that require it.
     ///
     /// # Errors
     /// Returns an error with the first parameter that is not continuous.
     pub fn require_continuous(&self, method: &'static str) -> Result<(), Error> {
         match self.kinds.iter().position(|k| *k != ParameterKind::Continuous) {
+            Some(k) => Err(Error::NotContinuous { method, index: self.free[k], kind: self.kinds[k] }),
+            None => Ok(()),
+        }
+    }
+
+    /// Checks that no free parameter is categorical, for methods that require an order of the values.
+    ///
+    /// # Errors
+    /// Returns an error with the first categorical parameter.
+    pub(crate) fn forbid_categorical(&self, method: &'static str) -> Result<(), Error> {
+        match self.kinds.iter().position(|k| *k == ParameterKind::Categorical) {
             Some(k) => Err(Error::NotContinuous { method, index: self.free[k], kind: self.kinds[k] }),
             None => Ok(()),
         }
@@ -337,7 +395,9 @@ impl Space {
             ("sizes given for parameters", option_texts::word(&given.collect::<Vec<_>>())),
         ]
         .map(|(name, value)| (name.to_owned(), value))
-        .into()
+        .into_iter()
+        .chain(self.describe_linear())
+        .collect()
     }
 
     /// True if the point is strictly between the bounds of all free parameters.
@@ -463,6 +523,7 @@ impl Space {
                 x[i] = whole + 0.0;
             }
         }
+        self.set_dependents(u, x);
     }
 
     /// Returns the user's bounds on the linear or logarithmic scale of a coordinate; infinite without an

@@ -10,11 +10,17 @@
 //! away. A bound is far if it is at least 1e10 times the largest of 1, |x0| and the given size. The
 //! coordinates are then the same as for a parameter without bounds. Still, no point outside these bounds is
 //! evaluated.
+//!
+//! Linear equalities remove free parameters ([`Space::with_linear`]). Linear inequalities are rows over the
+//! working coordinates, which methods keep like bounds.
 
 mod angles;
 mod bounds;
 mod coordinates;
+mod linear;
+mod linear_set;
 
 pub use bounds::Bounds;
 pub(crate) use bounds::{clamp, fold};
+pub(crate) use coordinates::IntegerCell;
 pub use coordinates::{Space, typical_size};
