@@ -48,9 +48,10 @@ def test_signature_is_stable():
         ("on_error", "raise"),
         ("vectorized", False),
         ("search", "local"),
+        ("constraints", None),
     ]
     assert list(parameters)[:2] == ["fun", "x0"]
-    assert [p.kind is p.POSITIONAL_OR_KEYWORD for p in parameters.values()] == [True] * 2 + [False] * 16
+    assert [p.kind is p.POSITIONAL_OR_KEYWORD for p in parameters.values()] == [True] * 2 + [False] * 17
     with pytest.warns(DeprecationWarning, match=r"positional arguments after x0 are deprecated; use bounds=\.\.\., method=\.\.\.$") as caught:
         by_position = minimize(rosenbrock, [-1.2, 1.0], [(-2, 2)] * 2, "barrier", max_evaluations=50)
     assert caught[0].filename == __file__
@@ -429,9 +430,10 @@ def test_unsupported_arguments_suggest_alternatives():
     def bowl(x):
         return float(x @ x)
 
-    for keyword, answer in {"jac": "the methods do not use derivatives", "constraints": "only bounds are supported"}.items():
-        with pytest.raises(TypeError, match=answer):
-            minimize(bowl, [1.0], **{keyword: None})
+    with pytest.raises(TypeError, match="the methods do not use derivatives"):
+        minimize(bowl, [1.0], **{"jac": None})
+    with pytest.raises(TypeError, match="use the argument constraints"):
+        minimize(bowl, [1.0], **{"cons": []})
     with pytest.raises(TypeError, match="pass additional arguments through a function"):
         pydfo.fmin(bowl, [1.0], args=(2.0,))
 

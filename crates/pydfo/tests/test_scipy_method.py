@@ -60,7 +60,7 @@ def test_callbacks_follow_scipy_convention():
 
 def test_unsupported_arguments_are_reported(capsys):
     method = pydfo.scipy_method("nelder-mead")
-    with pytest.raises(ValueError, match="not constraints"):
+    with pytest.raises(ValueError, match="does not support nonlinear constraints"):
         optimize.minimize(rosenbrock, [0.0, 0.0], method=method, constraints={"type": "eq", "fun": sum})
     with pytest.warns(RuntimeWarning, match="does not use derivatives"):
         optimize.minimize(rosenbrock, [0.0, 0.0], method=method, jac=optimize.rosen_der)

@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from ._model.files import build_fmu, clear_caches, example_fmu
     from ._model.model import FMUModel, load_fmu
     from ._model.trajectory import SimulationResult
+    from ._optimize.constraints import LinearConstraint, NonlinearConstraint
     from ._optimize.evaluate import Resubmit
     from ._optimize.fmin import fmin
     from ._optimize.least_squares import least_squares
@@ -74,6 +75,7 @@ _HOMES = {
     "_calibration.bootstrap": "Bootstrap",
     "_calibration.fit": "ChosenTolerance Fit FitNoise OutputFit",
     "_calibration.goodness": "Comparison Goodness",
+    "_optimize.constraints": "LinearConstraint NonlinearConstraint",
     "_optimize.evaluate": "Resubmit",
     "_optimize.fmin": "fmin",
     "_optimize.least_squares": "least_squares",
@@ -124,8 +126,10 @@ __all__ = [
     "Interrupted",
     "LeastSquaresResult",
     "Limits",
+    "LinearConstraint",
     "ModelTypeError",
     "NoResult",
+    "NonlinearConstraint",
     "OptimizeResult",
     "Optimizer",
     "LogNormal",

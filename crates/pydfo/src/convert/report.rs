@@ -195,6 +195,7 @@ pub(crate) fn to_python<'py>(
         "trace": trace(py, &std::mem::take(&mut report.trace))?,
         "jacobian": report.jacobian.take().map(|jacobian| matrix(py, jacobian, n)).transpose()?,
         "residuals": PyArray1::from_vec(py, report.residuals.take().unwrap_or_default()),
+        "constraints": PyArray1::from_vec(py, std::mem::take(&mut report.constraints)),
     );
     let record = object::fields(py, &report)?;
     record.update(computed.as_mapping())?;

@@ -9,13 +9,34 @@ use crate::optimize::futures;
 use crate::optimize::objective::PyObjective;
 use calibration::RunContext;
 use dfo::{
-    ByRef, MethodOptions, Minimize, NelderMead, Progress, Report, RequestedRun, RobustLoss, RunOptions,
+    ByRef, Constraints, LinearConstraint, MethodOptions, Minimize, NelderMead, NonlinearConstraint, Progress,
+    Report, RequestedRun, RobustLoss, RunOptions,
 };
 use pyo3::prelude::*;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
 type Observer<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
+
+/// Linear constraints (coefficients, lower, upper), and limits of the nonlinear ones (lower, upper, whether
+/// the objective must not be evaluated outside).
+pub(crate) type PyConstraints = (Vec<(Vec<f64>, f64, f64)>, Vec<(f64, f64, bool)>);
+
+/// Adds constraints to a run.
+pub(crate) fn set_constraints(run: &mut RequestedRun, constraints: Option<PyConstraints>) {
+    let Some((linear, nonlinear)) = constraints else { return };
+    let linear = linear.into_iter();
+    let nonlinear = nonlinear.into_iter();
+    run.options.constraints = Constraints {
+        linear: linear
+            .map(|(coefficients, lower, upper)| LinearConstraint { coefficients, lower, upper })
+            .collect(),
+        nonlinear: nonlinear
+            .map(|(lower, upper, keep_feasible)| NonlinearConstraint { lower, upper, keep_feasible })
+            .collect(),
+        tolerance: run.options.constraints.tolerance,
+    };
+}
 
 /// A minimisation without its objective. It is owned, so that it can be moved to another thread.
 pub(crate) struct RunSetup {
@@ -70,7 +91,7 @@ impl RunSetup {
 /// residuals.
 #[pyfunction]
 #[pyo3(signature = (
-    func, x0, lower, upper, options, *, failures_allowed=false, observer=None, detail=false, batches=false, cutoffs=false
+    func, x0, lower, upper, options, *, constraints=None, failures_allowed=false, observer=None, detail=false, batches=false, cutoffs=false
 ))]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of a private function")]
 pub(crate) fn minimize<'py>(
@@ -80,6 +101,7 @@ pub(crate) fn minimize<'py>(
     lower: Vec<f64>,
     upper: Vec<f64>,
     mut options: PyRecord,
+    constraints: Option<PyConstraints>,
     failures_allowed: bool,
     observer: Option<Py<PyAny>>,
     detail: bool,
@@ -87,7 +109,9 @@ pub(crate) fn minimize<'py>(
     cutoffs: bool,
 ) -> PyResult<Bound<'py, PyAny>> {
     let loss = RobustLoss::from_record(&mut options.values).map_err(|e| options.error(py, &e))?;
-    let requested = options.run(py, RunOptions::default(), lower.len())?;
+    let mut requested = options.run(py, RunOptions::default(), lower.len())?;
+    set_constraints(&mut requested, constraints);
+    let is_constrained = !requested.options.constraints.nonlinear.is_empty();
     if loss.is_none() && requested.options.method.needs_residuals() {
         return Err(error::optimiser(py, &dfo::Error::NeedsResiduals { method: "least-squares" }));
     }
@@ -96,7 +120,8 @@ pub(crate) fn minimize<'py>(
     let setup = RunSetup::new(x0, lower, upper, requested);
     let watch = InterruptGuard::new(py)?;
     let stop = Arc::clone(watch.stop());
-    let objective = Arc::new(PyObjective::new(func, failures_allowed, cutoffs, loss, Arc::clone(&stop)));
+    let objective = PyObjective::new(func, failures_allowed, cutoffs, loss, Arc::clone(&stop));
+    let objective = Arc::new(objective.constrained(is_constrained));
     let listener = observer.map(|function| Arc::new(Listener::new(function, detail)));
     let outcome = if alone || batches {
         let mut notify = |progress: &Progress<'_>| match &listener {

@@ -20,6 +20,8 @@ pub(crate) struct PyObjective {
     takes_cutoff: bool,
     /// Loss function of the residuals; `None` if the function returns a cost.
     loss: Option<RobustLoss>,
+    /// True if the function returns an `Evaluation` with the values of the nonlinear constraints.
+    is_constrained: bool,
     stop: Arc<EndRequest>,
     /// Exceptions and the points at which they were raised. The run ends with the exception of the first such
     /// point on its path.
@@ -34,7 +36,13 @@ impl PyObjective {
         loss: Option<RobustLoss>,
         stop: Arc<EndRequest>,
     ) -> Self {
-        Self { function, failures_allowed, takes_cutoff, loss, stop, raised: Mutex::default() }
+        let (is_constrained, raised) = (false, Mutex::default());
+        Self { function, failures_allowed, takes_cutoff, loss, is_constrained, stop, raised }
+    }
+
+    /// Declares that the function returns an `Evaluation` with the values of the nonlinear constraints.
+    pub(crate) fn constrained(self, is_constrained: bool) -> Self {
+        Self { is_constrained, ..self }
     }
 
     /// Returns `CutoffUse::Yes` if evaluations stop above the cutoff.
@@ -61,6 +69,19 @@ impl PyObjective {
         let message = exception.to_string();
         lock(&self.raised).push((bits(x), exception));
         Outcome::Abort(message)
+    }
+
+    /// Fills `answer` from a call of the user's function: its outcome, its residuals and the values of the
+    /// nonlinear constraints.
+    fn fill(&self, py: Python<'_>, x: &[f64], returned: PyResult<Bound<'_, PyAny>>, answer: &mut Answer) {
+        let returned = match returned {
+            Ok(value) if self.is_constrained => parts(&value, &mut answer.constraints),
+            other => other,
+        };
+        answer.outcome = match returned {
+            Ok(value) if self.is_constrained && value.is(py.Ellipsis()) => Outcome::infeasible(),
+            other => self.outcome(py, x, other, &mut answer.residuals),
+        };
     }
 
     /// Returns the outcome of a call of the user's function. Residuals, if it returns them, are stored in
@@ -111,7 +132,7 @@ impl PyObjective {
     ) {
         let is_exception = value.is_instance_of::<PyBaseException>();
         let returned = if is_exception { Err(PyErr::from_value(value)) } else { Ok(value) };
-        answer.outcome = self.outcome(py, x, returned, &mut answer.residuals);
+        self.fill(py, x, returned, answer);
     }
 
     /// Evaluates a batch. The function receives all points, shape (points, parameters), their cutoffs, and a
@@ -145,6 +166,7 @@ impl PyObjective {
                     let mut found = Answer::default();
                     self.answer_from(py, batch.point(k), answer, &mut found);
                     batch.set_residuals(k, &found.residuals);
+                    batch.set_constraints(k, &found.constraints);
                     *place = found.outcome;
                 }
             }
@@ -182,7 +204,7 @@ impl Objective for PyObjective {
 
     fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
         let _inside = Inside::new(&self.stop);
-        answer.outcome = Python::attach(|py| {
+        Python::attach(|py| {
             let point = (PyArray1::from_slice(py, x),);
             let returned = if self.takes_cutoff {
                 let cutoff = PyDict::new(py);
@@ -192,9 +214,15 @@ impl Objective for PyObjective {
             } else {
                 self.function.bind(py).call1(point)
             };
-            self.outcome(py, x, returned, &mut answer.residuals)
+            self.fill(py, x, returned, answer);
         });
     }
+}
+
+/// Reads the constraint values of an `Evaluation` and returns its value of the objective.
+fn parts<'py>(value: &Bound<'py, PyAny>, constraints: &mut Vec<f64>) -> PyResult<Bound<'py, PyAny>> {
+    residuals(&value.getattr("constraints")?, constraints)?;
+    value.getattr("value")
 }
 
 fn bits(x: &[f64]) -> Vec<u64> {

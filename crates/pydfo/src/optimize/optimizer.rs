@@ -6,7 +6,7 @@ use crate::convert::report::{self, ResultKind};
 use crate::interrupt::interrupt_guard::InterruptGuard;
 use crate::interrupt::lock::lock;
 use crate::interrupt::logs;
-use crate::optimize::minimize::RunSetup;
+use crate::optimize::minimize::{PyConstraints, RunSetup, set_constraints};
 use crate::optimize::objective;
 use dfo::{Answer, MethodOptions, Outcome, RobustLoss, RunOptions};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
@@ -29,15 +29,18 @@ type RequestedBatch<'py> = (Bound<'py, PyArray1<u64>>, Bound<'py, PyArray2<f64>>
 #[pymethods]
 impl PyOptimizer {
     #[new]
+    #[pyo3(signature = (x0, lower, upper, options, constraints=None))]
     fn new(
         py: Python<'_>,
         x0: Option<Vec<f64>>,
         lower: Vec<f64>,
         upper: Vec<f64>,
         options: PyRecord,
+        constraints: Option<PyConstraints>,
     ) -> PyResult<Self> {
         let n = lower.len();
-        let requested = options.run(py, RunOptions::default(), n)?;
+        let mut requested = options.run(py, RunOptions::default(), n)?;
+        set_constraints(&mut requested, constraints);
         let of_residuals = requested.options.method.needs_residuals();
         let setup = RunSetup::new(x0, lower, upper, requested);
         let optimizer = py.detach(|| setup.describe(dfo::by_hand()).and_then(|run| run.optimizer()));
@@ -63,9 +66,18 @@ impl PyOptimizer {
 
     /// Reports the value of a point: a number, or a vector of residuals if the method needs residuals. None
     /// or an exception means that the evaluation failed, and Ellipsis that the point is returned. With
-    /// `above`, the cost exceeds the number.
-    fn tell(&self, py: Python<'_>, id: u64, value: &Bound<'_, PyAny>, above: bool) -> PyResult<()> {
+    /// `above`, the cost exceeds the number. `constraints` are the values of the nonlinear constraints.
+    #[pyo3(signature = (id, value, above, constraints=None))]
+    fn tell(
+        &self,
+        py: Python<'_>,
+        id: u64,
+        value: &Bound<'_, PyAny>,
+        above: bool,
+        constraints: Option<Vec<f64>>,
+    ) -> PyResult<()> {
         let mut answer = Answer::default();
+        answer.constraints = constraints.unwrap_or_default();
         answer.outcome = if above {
             Outcome::Above(
                 value.extract().map_err(|_| PyTypeError::new_err("the cutoff of Above must be a number"))?,

@@ -40,6 +40,7 @@ _FOREIGN: Final[Mapping[str, tuple[str, ...]]] = {
     **dict.fromkeys(("fun", "func", "cost", "objective"), ("fun", "func")),
     **dict.fromkeys(("x0", "xstart", "y0"), ("x0", "xstart", "start")),
     "bounds": ("bounds", "lb and ub"),
+    "cons": ("constraints",),
     **dict.fromkeys(("lb", "ub"), ("bounds",)),
     **dict.fromkeys(("min", "minimum", "low", "lb_"), ("lower",)),
     **dict.fromkeys(("max", "maximum", "high"), ("upper",)),
@@ -64,10 +65,6 @@ _ABSENT: Final[Mapping[str, str]] = {
     "recombination": "method 'de' adapts it; method 'de-classic' has the option probability",
     "diff_step": "unsupported; the steps are derived from the noise and the parameter sizes (option nominal)",
     **dict.fromkeys(("jac", "hess", "hessp", "gradient", "grad"), "unsupported; the methods do not use derivatives"),
-    **dict.fromkeys(
-        ("constraints", "cons"),
-        "only bounds are supported; return NaN at points that violate other constraints",
-    ),
     **dict.fromkeys(("args", "kwargs", "fargs"), "pass additional arguments through a function: lambda x: f(x, a)"),
 }
 

@@ -18,6 +18,7 @@ from .._args import options as _options
 from .._args import values as _values
 from .._args.keywords import explained, given_once
 from .._errors import Interrupted
+from . import constraints as _constraints
 from . import evaluate as _evaluate
 from .progress import Printer, Progress
 from .result import OptimizeResult
@@ -99,6 +100,7 @@ def fmin(
     options: Mapping[str, Any] | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     resume: Literal["auto", "never", "require"] = "auto",
+    constraints: Any = None,
 ) -> OptimizeResult:
     """Minimise a function of several variables without derivatives.
 
@@ -175,6 +177,8 @@ def fmin(
         parameters. `minimize` uses "auto", which is adaptive from five parameters on and solves more problems there.
     checkpoint, resume : optional
         File for the state of the run, and the rule for continuing from it; see `minimize`.
+    constraints : optional
+        Relations between parameters, see `minimize`.
 
     Returns
     -------
@@ -229,7 +233,9 @@ def fmin(
     if nbr_cores is not None and workers is not None:
         raise ValueError("nbr_cores and workers are the same argument; specify only one of them")
     name, given = ("nbr_cores", nbr_cores) if workers is None else ("workers", workers)
-    batches, count = _evaluate.shared_out(func, name, given, 1)
+    native, function = _constraints.read(constraints, start, lower, upper)
+    called = func if native is None or function is None else _constraints.Constrained(func, function, native[1], method_options)
+    batches, count = _evaluate.shared_out(called, name, given, 1)
     requested = _options.record(
         fmin,
         method,
@@ -265,11 +271,12 @@ def fmin(
         listeners.append(listen(callback))
     try:
         result: OptimizeResult = _core.minimize(
-            batches or func,
+            batches or called,
             None if start is None else start.tolist(),
             lower.tolist(),
             upper.tolist(),
             requested,
+            constraints=native,
             failures_allowed=on_error == "fail",
             observer=combine(listeners),
             batches=batches is not None,

@@ -44,6 +44,7 @@ def least_squares(
     vectorized: bool = False,
     search: Literal["local", "global"] = "local",
     absolute_sigma: bool = False,
+    constraints: Any = None,
 ) -> LeastSquaresResult:
     """Minimise the sum of the squares of residuals without derivatives.
 
@@ -104,6 +105,8 @@ def least_squares(
         If True, the residuals are in units of their known standard deviation, so ``cov`` is ``inv(J.T @ J)``, as in
         SciPy's ``curve_fit``. If False, ``cov`` is scaled by the variance of the residuals. True requires the loss
         "linear". Without more residuals than parameters, or if all residuals are zero, ``cov`` is not rescaled.
+    constraints : optional
+        Relations between parameters, as in `minimize`.
 
     Returns
     -------
@@ -155,6 +158,7 @@ def least_squares(
         search=search,
         loss=loss,
         f_scale=f_scale,
+        constraints=constraints,
     )
     assert isinstance(result, LeastSquaresResult)
     if absolute_sigma and result.cov is not None and result.active_mask is not None:

@@ -15,6 +15,7 @@ from .._args import bounds as _bounds
 from .._args import options as _options
 from .._args import values as _values
 from .._args.keywords import explained, positional_until
+from . import constraints as _constraints
 from . import evaluate as _evaluate
 from .fmin import Callback, check_callback, listen
 from .result import OptimizeResult
@@ -44,6 +45,7 @@ def minimize(
     on_error: Literal["raise", "fail"] = "raise",
     vectorized: bool = False,
     search: Literal["local", "global"] = "local",
+    constraints: Any = None,
 ) -> OptimizeResult:
     """Minimise a function of several variables without derivatives.
 
@@ -66,7 +68,8 @@ def minimize(
         ``(low, high)`` per parameter; None or infinite if there is no bound. Equal bounds fix a parameter. No point
         outside the bounds is ever evaluated. Bounds more than 100 times as wide as the nominal size, or otherwise
         abs(x0), carry no information on the size of the parameter. Methods that start from `x0` then use the nominal
-        size or abs(x0). Methods that sample the box search all of it.
+        size or abs(x0). "quadratic-model" then uses abs(x0) for all parameters without a nominal size. Methods that
+        sample the box search all of it.
     method : str
         - "nelder-mead";
         - "barrier": Nelder-Mead with a sequential barrier; requires at least one finite bound and a start strictly
@@ -84,8 +87,8 @@ def minimize(
         Case is ignored in names, and "-", "_" or a space may separate the words. "auto" selects "quadratic-model",
         which continues with another method from its best point (``hand_over``) if the cost is not smooth: with
         Nelder-Mead if it detects kinks or weak noise, with CMA-ES if it detects strong noise or steps. The message
-        reports the change. "auto" selects "multistart" with ``search="global"``, "de" with integer parameters and "ga" with
-        categorical ones. ``method_reason`` of the result gives the reason.
+        reports the change. "auto" selects "multistart" with ``search="global"``, "cma-es" with restarts if all
+        parameters are integers, "de" if some are, and "ga" with categorical ones. ``method_reason`` of the result gives the reason.
     args : tuple
         Further arguments of `fun`.
     workers : int, map-like or executor
@@ -118,6 +121,7 @@ def minimize(
         "absolute"), ``nominal`` (typical sizes of the parameters, None if unknown; a parameter that starts at 0
         without a nominal size and without a box is first moved by powers of ten to find its size), ``scale``
         ("linear" or "log", for all or each), ``kinds`` ("continuous", "integer" or "categorical", for all or each),
+        ``constraint_tol`` (1e-6: violation of a nonlinear constraint up to which a point counts as feasible),
         ``cache`` (number of stored evaluations, which make exact repeats free), ``trace_limit`` (evaluations kept in
         the trace), ``max_failed`` (the run ends if more than this fraction of at least 20 evaluations has failed),
         ``warm_start`` (an earlier result or trace, or points and costs, from which to start), ``problem`` (a word or
@@ -153,7 +157,8 @@ def minimize(
         sizes of the parameters), ``restarts`` ("none": the run ends when its tests pass; "ipop" and "bipop": the
         search restarts with other populations until a limit ends the run), ``bounds_handling`` ("smooth", "mirror"),
         ``lag`` (0: number of individuals drawn ahead of selection; four times the number of workers keeps them busy;
-        the default population is then at least 3/4 of it).
+        the default population is then at least 3/4 of it), ``patience`` (None: no limit; the run ends after this number
+        of successive restarts without a better point).
 
         Pattern search: ``batch`` ("auto", "serial", "ahead" or a number of points), ``frame`` (0.3: the first
         distance of the points of a poll, in units of the sizes of the parameters), ``restarts`` (1: number of
@@ -178,6 +183,11 @@ def minimize(
         the box. A global search requires two finite bounds for every parameter; a start is optional. It uses its
         whole budget (default 1000 (n + 1) evaluations) unless the minima found are probably all minima; see
         "multistart".
+
+    constraints : LinearConstraint, NonlinearConstraint, dict or sequence of these
+        Relations between parameters, in SciPy's forms (its own classes are accepted, too; derivatives in them are
+        unused). Linear ones hold at every evaluated point; equalities among them reduce the dimension of the search. A
+        start that violates them is moved to the nearest feasible point. Nonlinear ones may be violated on the way.
 
     Returns
     -------
@@ -225,6 +235,7 @@ def minimize(
         target=target,
         resume=resume,
         search=search,
+        constraints=constraints,
     )
 
 
@@ -242,6 +253,7 @@ def run(
     on_error: str,
     vectorized: bool,
     of_residuals: bool = False,
+    constraints: Any = None,
     **arguments: Any,
 ) -> OptimizeResult:
     """Minimises the cost or the residuals returned by `fun`; `of` is the function called by the user."""
@@ -253,6 +265,11 @@ def run(
     extra = args if isinstance(args, tuple) else (args,)
     called = _evaluate.WithArguments(fun, extra) if extra else fun
     cutoffs = not of_residuals and _evaluate.takes_cutoff(fun)
+    native, function = _constraints.of_call(constraints, x0, bounds)
+    constrained = None
+    if native is not None and function is not None:
+        constrained = _constraints.Constrained(called, function, native[1], _options.dictionary(options))
+        called = called if vectorized else constrained
     batches, count = _evaluate.shared_out(called, "workers", workers, 1, cutoffs)
     if _values.flag("vectorized", vectorized):
         if cutoffs:
@@ -260,6 +277,8 @@ def run(
         if batches is not None:
             raise ValueError("workers must be a number if vectorized=True, because fun evaluates whole batches")
         batches = _evaluate.vectorized(called, of_residuals)
+        if constrained is not None:
+            batches = constrained.of_batches(batches)
     planned = _options.with_plan(options, count) if of_residuals else options
     start, lower, upper, requested = describe(of, method, x0, bounds, planned, function=fun, workers=count, **arguments)
     result = _core.minimize(
@@ -268,6 +287,7 @@ def run(
         lower,
         upper,
         requested,
+        constraints=native,
         failures_allowed=on_error == "fail",
         observer=None if callback is None else listen(callback),
         batches=batches is not None,

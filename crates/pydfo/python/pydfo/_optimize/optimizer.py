@@ -13,6 +13,7 @@ from .. import _core
 from .._args import options as _options
 from .._args import values as _values
 from .._args.keywords import explained
+from . import constraints as _constraints
 from .minimize import describe
 from .result import OptimizeResult
 
@@ -63,6 +64,9 @@ class Optimizer:
         As in `minimize`.
     x0, bounds, rng, max_evaluations, max_iterations, max_time, target, options, checkpoint, resume, search : optional
         As in `minimize`. The checkpoint is written after each complete round, at the end, and by `save`.
+    constraints : optional
+        As in `minimize`. The functions of nonlinear constraints are called by `tell`, which knows the points, unless it
+        receives their values.
     workers : int
         Number of points that will be evaluated at once. A batch plan may depend on it.
 
@@ -93,7 +97,11 @@ class Optimizer:
         checkpoint: str | os.PathLike[str] | None = None,
         resume: Literal["auto", "never", "require"] = "auto",
         search: Literal["local", "global"] = "local",
+        constraints: Any = None,
     ) -> None:
+        native, self._function = _constraints.of_call(constraints, x0, bounds)
+        #: Pending points, whose constraint values are computed when their costs are reported.
+        self._points: dict[int, FloatArray] = {}
         count = _options.worker_count("workers", workers, 1)
         _options.tell_of_checkpoint(checkpoint, resume, options)
         self._native = _core.Optimizer(
@@ -112,16 +120,20 @@ class Optimizer:
                 target=target,
                 resume=resume,
                 search=search,
-            )
+            ),
+            native,
         )
 
     def ask(self, k: SupportsIndex | None = None) -> Asked:
         """Returns at most `k` points to evaluate (None: all of the round); none while results are missing, and after
         the end."""
         at_most = None if k is None else _values.limit("k", _values.index("k", k), 0)
-        return Asked(*self._native.ask(at_most))
+        asked = Asked(*self._native.ask(at_most))
+        if self._function is not None:
+            self._points.update(zip(asked.ids.tolist(), asked.x))
+        return asked
 
-    def tell(self, ids: SupportsIndex | Iterable[SupportsIndex], values: Any) -> None:
+    def tell(self, ids: SupportsIndex | Iterable[SupportsIndex], values: Any, constraints: Any = None) -> None:
         """Reports the costs of points, or their residuals ("least-squares"), in any order and grouping.
 
         Parameters
@@ -132,6 +144,8 @@ class Optimizer:
             Costs of the points, or vectors of residuals for "least-squares". None, NaN, infinities and exception
             objects mean that the evaluation failed. `Above` means that it was abandoned above the cutoff. Ellipsis
             returns a point, which `ask` then returns again.
+        constraints : array_like, shape (k, m) or (m,), optional
+            Values of the nonlinear constraints at the points. By default, the functions of the constraints are called.
 
         Raises
         ------
@@ -150,15 +164,25 @@ class Optimizer:
             numbers = [_values.index("ids", i) for i in ids]
         else:
             numbers, values = [_values.index("ids", ids)], [values]
+            constraints = None if constraints is None else [constraints]
         costs = list(values)
         tell = self._native.tell
         if len(numbers) != len(costs):
             raise ValueError(f"tell: got {len(costs)} values for {len(numbers)} points")
-        for number, cost in zip(numbers, costs):
+        given = [None] * len(numbers) if constraints is None else [_values.vector("constraints", of_point) for of_point in constraints]
+        if len(given) != len(numbers):
+            raise ValueError(f"tell: got constraint values of {len(given)} points for {len(numbers)} points")
+        for number, cost, of_point in zip(numbers, costs, given):
             if not 0 <= number < 2**64:
                 raise KeyError(f"tell: point {number} is not waiting for an answer")
             above = isinstance(cost, Above)
-            tell(number, cost.cutoff if above else cost, above)
+            if self._function is None or cost is ...:
+                tell(number, cost.cutoff if above else cost, above)
+                continue
+            if of_point is None and number in self._points:
+                of_point = self._function(self._points[number])
+            tell(number, cost.cutoff if above else cost, above, None if of_point is None else of_point.tolist())
+            self._points.pop(number, None)
 
     @property
     def best(self) -> tuple[FloatArray, float] | None:

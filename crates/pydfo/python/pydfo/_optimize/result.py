@@ -40,6 +40,7 @@ STATUS: Final[dict[str, int]] = {
     "too-many-failed": 17,
     "beside-failures": 18,
     "before-minimum": 19,
+    "infeasible": 21,
 }
 
 
@@ -137,6 +138,25 @@ class Optimum(NamedTuple):
     n_starts: int
 
 
+@dataclass(frozen=True)
+class ActiveConstraint:
+    """An active constraint at the best point.
+
+    Attributes
+    ----------
+    is_linear : bool
+        True for a linear constraint.
+    index : int
+        Index among the linear rows or among the values of the nonlinear constraints.
+    multiplier : float
+        Decrease of the cost per unit by which the active limit moves outwards.
+    """
+
+    is_linear: bool
+    index: int
+    multiplier: float
+
+
 class BarrierStage(NamedTuple):
     """One stage of a sequential barrier search.
 
@@ -204,7 +224,8 @@ class OptimizeResult:
         stopped by a callback, 5 interrupted, 6 ended by an exception, 7 the checkpoint could not be written; 11 the
         simplex or population collapsed, 12 only one vertex has a cost, 13 every point failed, 14 stalled, 15 the cost
         did not change, 16 the cost is unbounded below, 17 too many calls failed, 18 points around the best one fail,
-        19 one more step of least squares after the fit lowers the cost.
+        19 one more step of least squares after the fit lowers the cost, 21 the best point violates a nonlinear
+        constraint.
     termination : str
         The status as a word.
     message : str
@@ -249,6 +270,12 @@ class OptimizeResult:
         curvature and rounding of the residuals.
     cov_message : str
         Remarks on ``cov``; empty if there are none.
+    constr_violation : float
+        Largest violation of a nonlinear constraint at ``x``; 0 without nonlinear constraints.
+    constraints : ndarray, shape (m,)
+        Values of the nonlinear constraints at ``x``.
+    multipliers : tuple of ActiveConstraint
+        The active constraints with their Lagrange multipliers, for methods that have them.
     """
 
     x: FloatArray
@@ -284,6 +311,9 @@ class OptimizeResult:
     active_mask: npt.NDArray[np.int64] | None = None
     cov: FloatArray | None = None
     cov_message: str = ""
+    constr_violation: float = 0.0
+    constraints: FloatArray = field(default_factory=lambda: np.empty(0))
+    multipliers: Sequence[ActiveConstraint] = ()
 
     def __post_init__(self) -> None:
         self.status = STATUS[self.termination]
@@ -302,6 +332,7 @@ class OptimizeResult:
             found["schedule"] = tuple(BarrierStage(*stage.values()) for stage in found["schedule"])
             found["optima"] = tuple(Optimum(*optimum.values()) for optimum in found["optima"])
             found["active_mask"] = None if found["jac"] is None else np.array(found["active_mask"], dtype=np.int64)
+            found["multipliers"] = tuple(ActiveConstraint(*active.values()) for active in found["multipliers"])
             found.update(options=dict(found["options"]), failures=dict(found["failures"]))
         return cls(**found)
 
@@ -360,6 +391,8 @@ class OptimizeResult:
             ("nfev", evaluations + (f" ({', '.join(remarks)})" if remarks else "")),
             ("solve_time", f"{self.solve_time:.3g} s"),
         ]
+        if self.constraints.size:
+            lines.insert(-2, ("violation", f"{self.constr_violation:.3g}"))
         return "\n".join(f"{name:>10}: {text}" for name, text in lines)
 
 

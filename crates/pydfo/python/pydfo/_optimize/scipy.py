@@ -26,7 +26,7 @@ _ARGUMENTS = frozenset(
 def scipy_method(method: str = "auto", **fixed: Any) -> Callable[..., Any]:
     """Return a method for ``scipy.optimize.minimize(fun, x0, method=...)``.
 
-    Bounds, ``args``, callback, ``tol`` and options are passed on. ``tol`` and the options ``xatol`` and ``fatol`` are
+    Bounds, constraints, ``args``, callback, ``tol`` and options are passed on. ``tol`` and the options ``xatol`` and ``fatol`` are
     absolute, as in SciPy's Nelder-Mead, and both tests must pass. ``maxiter``, ``maxfev``, ``adaptive`` and ``disp``
     are also supported. All other options are options of `minimize`.
 
@@ -46,7 +46,7 @@ def scipy_method(method: str = "auto", **fixed: Any) -> Callable[..., Any]:
     Raises
     ------
     ValueError, TypeError
-        The method is unknown. At run time: constraints are given, or `minimize` rejects the arguments.
+        The method is unknown. At run time: `minimize` rejects the arguments.
 
     Examples
     --------
@@ -70,8 +70,6 @@ def scipy_method(method: str = "auto", **fixed: Any) -> Callable[..., Any]:
         callback: Callable[..., Any] | None = None,
         **given: Any,
     ) -> Any:
-        if constraints is not None and np.size(constraints) > 0:
-            raise ValueError(f"{method} supports only bounds, not constraints")
         if any(derivative not in (None, False) for derivative in (jac, hess, hessp)):
             warnings.warn(f"{method} does not use derivatives (jac, hess, hessp)", RuntimeWarning, stacklevel=3)
         options = {**fixed, **given}
@@ -91,7 +89,15 @@ def scipy_method(method: str = "auto", **fixed: Any) -> Callable[..., Any]:
             options["coefficients"] = "adaptive"
         arguments = {name: options.pop(name) for name in _ARGUMENTS & options.keys()}
         result = minimize(
-            fun, x0, bounds=bounds, method=method, args=args, callback=_as_scipy_calls(callback), options=options, **arguments
+            fun,
+            x0,
+            bounds=bounds,
+            constraints=constraints,
+            method=method,
+            args=args,
+            callback=_as_scipy_calls(callback),
+            options=options,
+            **arguments,
         )
         if display:
             print(result)
