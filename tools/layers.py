@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parent.parent
 # each other.
 LAYERS = {
     "calibration": """
-        error findings
+        error expression findings
         data
         problem
         cost

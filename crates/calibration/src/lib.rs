@@ -9,6 +9,7 @@
 //!
 //! Folders, from the lowest layer:
 //!
+//! - `expression`: formulas over parameters;
 //! - `data`: recordings, units, dates;
 //! - `problem`: parameters, experiments, priors, settings, the fingerprint;
 //! - `cost`: residuals and cost of simulations, worker processes, the choice of the solver;
@@ -34,6 +35,7 @@ mod cost;
 mod data;
 mod error;
 mod export;
+mod expression;
 mod findings;
 mod fit;
 mod intervals;
@@ -59,6 +61,7 @@ pub use dfo;
 pub use dfo::ParameterKind;
 pub use error::CalibrationError;
 pub use export::{FitDocument, FmuExport, SavedFit, Table};
+pub use expression::{Expression, ExpressionError, Inequality, LinearForm, Relation};
 pub use findings::display_text::{visible, visible_error, visible_line};
 pub use findings::finding::{Finding, Origin, Severity};
 pub use findings::identifier::FindingId;
@@ -84,6 +87,7 @@ pub use loaded::calibration::{Calibration, CalibrationBuilder};
 pub use loaded::effort::Effort;
 pub use loaded::worker::serve_if_worker;
 pub use problem::column_units::{InputColumn, recorded_inputs};
+pub use problem::constraint::{Constraints, LinearRows};
 pub use problem::definition::{ModelFile, Problem};
 pub use problem::error_model::{Coefficient, ErrorModel};
 pub use problem::experiment::{Experiment, InitialState, OutputScale, Sigma, Weight};
@@ -97,6 +101,7 @@ pub use problem::warning::{SETUP_LOG_TARGET, SetupWarning};
 #[cfg(feature = "report")]
 pub use report::plot;
 pub use report::{ExperimentCurves, OutputCurves, Signal};
+pub use uncertainty::derived_value::DerivedValue;
 pub use uncertainty::diagnostics::lack_of_fit::LackOfFit;
 pub use uncertainty::diagnostics::prior_check::PriorConflict;
 pub use uncertainty::diagnostics::residual_check::ResidualCheck;

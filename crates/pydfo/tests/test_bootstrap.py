@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 
@@ -37,8 +38,11 @@ def test_bootstrap_reports_wrong_arguments() -> None:
         fit.bootstrap(None)
     with pytest.raises(ValueError, match="level is 2; it must be between 0 and 1"):
         fit.bootstrap(3, rng=1).intervals(2)
-    with pytest.raises(ValueError, match="requires a sum of squares"):
-        calibration.fit(objective="likelihood").bootstrap(5)
+    with pytest.raises(ValueError, match="requires a sum of squares or the likelihood"):
+        calibration.fit(objective="mae").bootstrap(5)
+    found = calibration.fit(objective="likelihood").bootstrap(5, rng=1)
+    assert found.n_failed == 0 and found.stderr[0] > 0
+    assert np.isnan(fit.bootstrap(1, rng=1).stderr).all()
 
 
 def test_bootstrap_continues_from_its_file(tmp_path: Path) -> None:
@@ -46,11 +50,12 @@ def test_bootstrap_continues_from_its_file(tmp_path: Path) -> None:
     fit = Calibration(example_fmu("dahlquist"), data, "x", [Parameter("k", 1.5, 0.1, 9)]).fit()
     file = tmp_path / "k.boot"
     part = fit.bootstrap(4, rng=5, workers=2, checkpoint=file)
-    saved = json.loads(file.read_text())
+    saved = json.loads(file.read_text().partition("\n")[2])
     assert len(saved["fits"]) == 4 and saved["seed"] == 5
     # A stored value is used instead of another fit.
     saved["fits"]["2"] = [1.25]
-    file.write_text(json.dumps(saved))
+    content = json.dumps(saved)
+    file.write_text(f"fmufit sha256 {hashlib.sha256(content.encode()).hexdigest()}\n{content}")
     more = fit.bootstrap(7, workers=1, checkpoint=file)
     assert more.seed == 5 and more.samples[2] == 1.25
     whole = fit.bootstrap(7, rng=5).samples

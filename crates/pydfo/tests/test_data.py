@@ -305,6 +305,17 @@ def test_pandas_csv_with_unnamed_index_suggests_index_label(tmp_path):
     assert cost(tmp_path / "run.csv") == pytest.approx(COST)
 
 
+def test_unnamed_index_of_several_columns_is_named_in_the_error():
+    pd = pytest.importorskip("pandas")
+    frame = pd.DataFrame({"x": X, "z": X}, index=TIME)
+    with pytest.raises(BadCalibrationError, match=r"column 'time' not found; .* name it: frame.rename_axis\('time'\)"):
+        cost(frame)
+    assert cost(frame.rename_axis("time")) == pytest.approx(COST)
+    with pytest.raises(BadCalibrationError, match="column 'time' not found") as caught:
+        cost(frame.reset_index(drop=True))
+    assert "rename_axis" not in str(caught.value)
+
+
 def test_weight_may_be_missing_where_the_measurement_is():
     x, w = X.copy(), np.full(41, 2.0)
     x[3], w[3] = np.nan, np.nan

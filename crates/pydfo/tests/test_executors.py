@@ -145,9 +145,44 @@ def test_overdue_simulations_of_fit_are_submitted_again():
     assert any("the executor lost" in finding.sentence for finding in fit.findings)
 
 
+class SwallowingFirst(concurrent.futures.ThreadPoolExecutor):
+    """Never answers the first submission of these points, counted from 0."""
+
+    def __init__(self, points):
+        super().__init__(2)
+        self.points, self.seen = points, []
+
+    def submit(self, fn, /, *args, **kwargs):
+        key = next(argument.tobytes() for argument in args if isinstance(argument, np.ndarray))
+        if key not in self.seen:
+            self.seen.append(key)
+            if len(self.seen) - 1 in self.points:
+                return concurrent.futures.Future()
+        return super().submit(fn, *args, **kwargs)
+
+
+@pytest.mark.parametrize(("points", "first_limit"), [({1}, None), ({0, 2, 3}, 0.2), (range(9), 0.2)])
+@pytest.mark.parametrize("method", ["de", "nelder-mead"])
+def test_first_points_are_submitted_again(method, points, first_limit):
+    asked = {"bounds": [(-2, 2)] * 2, "method": method, "rng": 1, "max_evaluations": 40}
+    with SwallowingFirst(points) as executor:
+        result = pydfo.minimize(slow_cost, [-1.2, 1.0], workers=pydfo.Resubmit(executor, 3, first_limit), **asked)
+    same(result, pydfo.minimize(slow_cost, [-1.2, 1.0], **asked))
+    assert result.n_lost > 0 and result.nfail == 0
+
+
+def test_limit_of_overdue_tasks():
+    with concurrent.futures.ThreadPoolExecutor(1) as pool:
+        limit = pydfo.Resubmit(pool, 3.0, 60).limit
+        assert pydfo.Resubmit(pool, 3.0).limit([]) == float("inf") and limit([]) == 60
+        assert limit([1.0]) == 3.0 and limit([1.0, 2.0, 3.0, 9.0]) == 27.0 and limit([1.0, 2.0, 3.0, 9.0, 9.0]) == 9.0
+
+
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
+        ((concurrent.futures.ThreadPoolExecutor(1), 2.0, 0.0), ValueError, "first_limit must be a positive time in s, not 0.0"),
+        ((concurrent.futures.ThreadPoolExecutor(1), 2.0, "1"), TypeError, "first_limit"),
         ((3, 2.0), TypeError, "executor must have a method submit, or be a Dask client, not 3"),
         ((Swallowing, 2.0), TypeError, "not the class Swallowing"),
         ((concurrent.futures.ThreadPoolExecutor(1), 1.0), ValueError, "overdue must be a finite number above 1, not 1.0"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import pickle
 from pathlib import Path
 from typing import Any
@@ -87,6 +88,41 @@ def test_sigma_of_missing_measurement_may_be_missing() -> None:
     sigma[2] = np.nan
     with pytest.raises(pydfo.CalibrationError, match="sigma NaN of output 'x' at time 2 must be positive"):
         pydfo.Calibration(model, {"time": [0, 1, 2, 3], "x": y}, "x", k, sigma={"x": sigma})
+
+
+def test_name_of_a_sigma_is_a_column() -> None:
+    data = {"time": T, "x": np.exp(-2.0 * T), "a": np.full(51, 0.1)}
+    k = [pydfo.Parameter("k", 1.0, 0.1, 10.0)]
+    build = functools.partial(pydfo.Calibration, example_fmu("dahlquist"), outputs="x", parameters=k)
+    assert build(data, sigma="a").cost([1.0]) == pytest.approx(100 * build(data).cost([1.0]))
+    del data["a"]
+    hint = r"column 'a' not found; .* sigma 'a' is the name of a column; write 'a \+ 0\*abs\(y\)' for a standard deviation that"
+    for sigma in ("a", {"x": "a"}):
+        with pytest.raises(ValueError, match=hint):
+            build(data, sigma=sigma)
+    noisy = data | {"x": data["x"] + 0.01 * np.random.default_rng(1).standard_normal(51)}
+    noise = build(noisy, sigma="a + 0*abs(y)").fit().noise
+    assert noise is not None and noise.coefficients["x"]["a"] == pytest.approx(0.01, rel=0.3)
+
+
+def test_known_sigma_is_drawn_as_error_bars(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib").use("Agg")
+    sigma = 0.01 * (1 + T)
+    sigma[3] = np.inf
+    data = {"time": T, "x": np.exp(-2.0 * T) + 0.01 * np.sin(9 * T)}
+    k = [pydfo.Parameter("k", 1.0, 0.1, 10.0)]
+    fit = pydfo.Calibration(example_fmu("dahlquist"), data, "x", k, sigma=sigma).fit()
+    upper, lower = fit.plot().axes
+    for axes in (upper, lower):
+        (bars,) = axes.collections
+        heights = [float(np.ptp(segment[:, 1])) for segment in bars.get_segments()]
+        np.testing.assert_allclose(heights, 2 * np.delete(sigma, 3), rtol=1e-6)
+    fit.report(tmp_path / "fit.html")
+    assert "Bars: one known standard deviation (sigma)." in (tmp_path / "fit.html").read_text()
+    plain = pydfo.Calibration(example_fmu("dahlquist"), data, "x", k).fit()
+    assert not plain.plot().axes[0].collections
+    plain.report(tmp_path / "plain.html")
+    assert "Bars:" not in (tmp_path / "plain.html").read_text()
 
 
 def test_sigma_reports_wrong_arguments() -> None:

@@ -39,7 +39,8 @@ def test_automatic_method_depends_on_the_problem():
 
     assert chosen().method == "quadratic-model" and "Nelder-Mead if it has kinks" in chosen().method_reason
     assert chosen(method="nelder-mead").method_reason is None
-    assert chosen(options={"kinds": "integer"}, bounds=BOX).method == "de"
+    assert chosen(options={"kinds": "integer"}, bounds=BOX).method == "cma-es"
+    assert chosen(options={"kinds": "integer", "p_best": 0.2}, bounds=BOX).method == "de"
     assert chosen(options={"coefficients": "standard"}).method == "nelder-mead"
     kinked = pydfo.minimize(lambda x: abs(x[0] - 1.0) + 10.0 * abs(x[1] - x[0]), [-1.0, 2.0])
     assert kinked.success and kinked.fun < 1e-5 and "switched to nelder-mead after" in kinked.message

@@ -35,7 +35,7 @@ fn factor(a: f64, b: f64) -> f64 {
 
 /// Returns the conversion of the values of a parameter to the values of its variable.
 fn conversion(parameter: &Parameter, variable: &Variable, description: &ModelDescription) -> UnitConversion {
-    let given = parameter.given_unit().filter(|_| !parameter.is_tied());
+    let given = parameter.given_unit().filter(|_| !parameter.is_derived());
     let conversion = given.and_then(|unit| UnitConversion::to_variable(unit, variable, description).ok());
     conversion.unwrap_or(UnitConversion::IDENTITY)
 }
@@ -48,7 +48,7 @@ pub(super) fn far_from_model_start(
     description: &ModelDescription,
 ) -> Vec<Finding> {
     let of = |(parameter, value): (&Parameter, &f64)| {
-        let first = parameter.variable_names().first().filter(|_| !parameter.is_tied())?;
+        let first = parameter.variable_names().first().filter(|_| !parameter.is_derived())?;
         let variable = declared(description, first)?;
         let start_value = conversion(parameter, variable, description).invert(start_of_model(variable)?);
         let start = parameter.start();

@@ -6,9 +6,11 @@ use crate::cost::residual::{Accumulator, CostRule, StopReason, sum_of_squares};
 use crate::cost::simulation::Simulation;
 use crate::data::TimeUnit;
 use crate::error::CalibrationError;
-use crate::problem::assignment::{Affine, Assignments, tied_values};
+use crate::problem::assignment::Assignments;
 use crate::problem::column_units::convert_columns;
+use crate::problem::constraint::Constraints;
 use crate::problem::definition::{Element, Problem};
+use crate::problem::derived::{DerivedFault, Reported};
 use crate::problem::experiment::InitialState;
 use crate::problem::parameter::Parameter;
 use crate::problem::residual_layout::{PriorResidual, ResidualLayout};
@@ -36,8 +38,10 @@ pub(crate) struct LoadedProblem {
     pub(crate) n_residuals: usize,
     pub(crate) layout: ResidualLayout,
     pub(crate) warnings: Vec<SetupWarning>,
-    /// Names and values of tied parameters.
-    pub(crate) tied: Vec<(String, Affine)>,
+    /// Derived parameters, in the order of the results.
+    pub(crate) derived: Vec<Reported>,
+    /// Constraints between the parameters.
+    pub(crate) constraints: Constraints,
     /// Processes in which the model runs, or the reason why it runs in this one. The reason is `None` if the
     /// user requested it.
     pub(crate) remote: Result<Remote, Option<String>>,
@@ -89,7 +93,9 @@ impl LoadedProblem {
             .collect::<Result<Vec<_>, CalibrationError>>()?;
         let layout = layout(&problem, &simulations, &elements);
         let n_residuals = layout.n_residuals();
-        let tied = tied_values(&problem, &elements)?;
+        let derived = problem.reported()?;
+        let (constraints, satisfied) = Constraints::new(&problem, &elements)?;
+        warnings.extend(satisfied);
         let parameters = elements.into_iter().map(|element| element.parameter).collect();
         let remote = Remote::of(&fmu, &problem, lender);
         if problem.settings.sandbox && !fmu.is_absent() {
@@ -112,8 +118,30 @@ impl LoadedProblem {
             n_residuals,
             layout,
             warnings,
-            tied,
+            derived,
+            constraints,
             over: OnceLock::new(),
+        })
+    }
+
+    /// Returns an error if a derived parameter is undefined or outside its bounds at start values.
+    pub(crate) fn check_derived_at(&self, start: &[f64]) -> Result<(), CalibrationError> {
+        let fault = self.simulations.iter().find_map(|simulation| simulation.derivation().fault(start));
+        let Some(DerivedFault { name, value, expression, at, fault }) = fault else { return Ok(()) };
+        let message = format!(
+            "{expression} is {} at the start ({at}), {fault}. Change the start values or the bounds",
+            Number(value)
+        );
+        Err(CalibrationError::Parameter { name, message })
+    }
+
+    /// Returns the values of the derived parameters, in the order of the results.
+    pub(crate) fn derived_values<'a>(&'a self, x: &'a [f64]) -> impl Iterator<Item = (&'a Reported, f64)> {
+        self.derived.iter().map(|reported| {
+            let derivation = self.simulations[reported.experiment].derivation();
+            let entry = derivation.entry_of(reported.parameter);
+            let value = entry.and_then(|entry| derivation.extended(x).get(entry).copied());
+            (reported, value.unwrap_or(f64::NAN))
         })
     }
 
@@ -193,6 +221,12 @@ impl LoadedProblem {
         lend: &mut impl FnMut(usize, &mut RunOn<'_>) -> Result<Result<Report, FmiError>, CostFailure>,
     ) -> Result<f64, CostFailure> {
         let simulation = &self.simulations[k];
+        if let Some(DerivedFault { name, value, expression, at, fault }) = simulation.derivation().fault(x) {
+            let kind = if value.is_finite() { FailureKind::Error } else { FailureKind::NotFinite };
+            let reason = format!("the derived parameter '{name}' is {fault}");
+            let message = format!("'{name}' = {expression} is {}, {fault}, at {at}", Number(value));
+            return Err(CostFailure::Failed { kind, reason, message, source: None });
+        }
         let (schedule, shifts) = (simulation.schedule(x), simulation.output_shifts(x));
         let mut accumulator = Accumulator::new(&simulation.comparison, &schedule, &shifts, running, sum, out);
         let ran = lend(k, &mut |simulator| simulation.run(simulator, x, &schedule, &mut accumulator))?;
@@ -288,6 +322,8 @@ fn layout(problem: &Problem, simulations: &[Simulation], elements: &[Element]) -
     let free = elements.iter().map(|e| &e.parameter).enumerate().filter(|(_, p)| p.lower() < p.upper());
     let priors = free.filter_map(|(i, p)| p.stated_prior().map(|prior| (i, *prior)));
     let n = layout.n_measurements();
+    let tolerances = simulations.iter().map(|simulation| simulation.pool.plan().relative_tolerance());
+    layout.relative_tolerance = tolerances.fold(0.0, f64::max);
     layout.priors = priors
         .zip(n..)
         .map(|((parameter, prior), index)| PriorResidual { parameter, prior, index })

@@ -6,10 +6,10 @@ use crate::data::Series;
 use crate::error::CalibrationError;
 use crate::problem::assignment::{Affine, Assignments, Shifts, initial_values};
 use crate::problem::definition::{Element, Problem};
+use crate::problem::derived::Derivation;
 use crate::problem::experiment::{Experiment, InitialState};
 use crate::problem::input::{Shift, Signal};
 use crate::problem::measurements::Measurements;
-use crate::problem::parameter::Parameter;
 use crate::problem::warning::SetupWarning;
 use base::Number;
 use fmi::description::Causality;
@@ -64,12 +64,13 @@ impl Simulation {
         let final_time = final_time(&measurements, &assigned, elements)?;
         if !experiment.hold_inputs {
             for (signal, Shifts { delay, .. }) in signals.iter().zip(&assigned.inputs) {
-                let (lowest, highest) = range(delay, elements);
+                let (lowest, highest) = range(delay, &assigned, elements);
                 let span = (start_time - highest.min(0.0), final_time - lowest);
                 signal.check_covers(&experiment.data, span)?;
             }
         }
         let start: Vec<f64> = elements.iter().map(|e| e.parameter.start()).collect();
+        let values_at_start = assigned.derivation.extended(&start).into_owned();
         let is_constant =
             |(name, _): &&(String, _)| !Experiment::is_start_of_local(name, &problem.parameters);
         let mut start_values: Vec<_> = experiment.start_values.iter().filter(is_constant).cloned().collect();
@@ -86,12 +87,12 @@ impl Simulation {
             steady: experiment.steady,
             parameters: names.clone(),
             outputs: Some(experiment.outputs.iter().map(|o| o.variable.clone()).collect()),
-            inputs: inputs(&signals, assigned.input_shifts(&start)),
+            inputs: inputs(&signals, assigned.input_shifts(&values_at_start)),
             run,
             ..SimulateOptions::default()
         };
-        let schedule =
-            comparison.schedule(|output| assigned.outputs[output].delay.in_model(&start), start_time);
+        let schedule = comparison
+            .schedule(|output| assigned.outputs[output].delay.in_model(&values_at_start), start_time);
         let is_late = schedule.times != times;
         // Row spacing settings depend on the spacing of the measurements.
         let mut plan = SimulationPlan::new(
@@ -134,7 +135,14 @@ impl Simulation {
 
     /// Returns the variables that the simulation sets and their values at `x`, in the units of the model.
     pub(crate) fn named_values(&self, x: &[f64]) -> impl Iterator<Item = (&str, f64)> {
-        self.assigned.variables.iter().map(|(name, of)| (name.as_str(), of.in_model(x)))
+        let values = self.assigned.derivation.extended(x);
+        let named = self.assigned.variables.iter();
+        named.map(|(name, of)| (name.as_str(), of.in_model(&values))).collect::<Vec<_>>().into_iter()
+    }
+
+    /// Returns the derived parameters.
+    pub(crate) fn derivation(&self) -> &Derivation {
+        &self.assigned.derivation
     }
 
     /// Sets the start time and the initial values of this simulation in an experiment that receives other
@@ -169,7 +177,8 @@ impl Simulation {
 
     /// Returns the delay, the factor and the offset of each output at `x`.
     pub(crate) fn output_shifts(&self, x: &[f64]) -> Vec<Shift> {
-        self.assigned.outputs.iter().map(|output| output.at(x)).collect()
+        let values = self.assigned.derivation.extended(x);
+        self.assigned.outputs.iter().map(|output| output.at(&values)).collect()
     }
 
     /// Returns the sample times of the outputs at `x`.
@@ -182,7 +191,8 @@ impl Simulation {
 
     fn scheduled(&self, comparison: &Comparison, x: &[f64]) -> Schedule {
         let start = self.options.start_time.unwrap_or_default();
-        comparison.schedule(|output| self.assigned.outputs[output].delay.in_model(x), start)
+        let values = self.assigned.derivation.extended(x);
+        comparison.schedule(|output| self.assigned.outputs[output].delay.in_model(&values), start)
     }
 
     /// Returns the options at the start values of the parameters, as a template for other options.
@@ -220,7 +230,7 @@ impl Simulation {
         SimulateOptions {
             final_time: self.options.final_time.map(|end| last.map_or(end, |last| end.max(last))),
             times: Some(times.to_vec()),
-            inputs: inputs(&self.signals, self.assigned.input_shifts(x)),
+            inputs: inputs(&self.signals, self.assigned.input_shifts(&self.assigned.derivation.extended(x))),
             ..self.options.clone()
         }
     }
@@ -268,7 +278,8 @@ impl Simulation {
     ) -> Result<Trajectory, FmiError> {
         let given = times;
         let times = times.unwrap_or(&self.times);
-        let is_late = self.assigned.outputs.iter().any(|output| output.delay.in_model(x) != 0.0);
+        let values = self.assigned.derivation.extended(x);
+        let is_late = self.assigned.outputs.iter().any(|output| output.delay.in_model(&values) != 0.0);
         if let Some(given) = given {
             // Sample times of delayed outputs are sorted and begin at the start, and the last one ends the
             // run.
@@ -349,7 +360,10 @@ fn check_times(times: &[f64], start: f64) -> Result<(), FmiError> {
 fn values<'x>(assigned: &Assignments, x: &'x [f64]) -> Cow<'x, [f64]> {
     match assigned.is_identity {
         true => Cow::Borrowed(x),
-        false => assigned.variables.iter().map(|(_, of)| of.in_model(x)).collect(),
+        false => {
+            let values = assigned.derivation.extended(x);
+            assigned.variables.iter().map(|(_, of)| of.in_model(&values)).collect()
+        }
     }
 }
 
@@ -359,12 +373,10 @@ fn inputs(signals: &[Signal], shifts: impl Iterator<Item = Shift>) -> Option<Inp
 }
 
 /// Returns the lowest and the highest value of a quantity within the bounds of its parameter.
-fn range(of: &Affine, elements: &[Element]) -> (f64, f64) {
-    let at = |bound: fn(&Parameter) -> f64| {
-        let value = of.entry.map_or(0.0, |entry| bound(&elements[entry].parameter));
-        Affine { entry: of.entry.map(|_| 0), ..*of }.in_model(&[value])
-    };
-    let (one, other) = (at(Parameter::lower), at(Parameter::upper));
+fn range(of: &Affine, assigned: &Assignments, elements: &[Element]) -> (f64, f64) {
+    let (lower, upper) = of.entry.map_or((0.0, 0.0), |entry| assigned.derivation.range(entry, elements));
+    let at = |value: f64| Affine { entry: of.entry.map(|_| 0), ..*of }.in_model(&[value]);
+    let (one, other) = (at(lower), at(upper));
     (one.min(other), one.max(other))
 }
 
@@ -376,10 +388,11 @@ fn final_time(
 ) -> Result<f64, CalibrationError> {
     let mut end = measurements.start_time;
     for (measured, Shifts { delay, .. }) in measurements.outputs.iter().zip(&assigned.outputs) {
-        let (lowest, _) = range(delay, elements);
+        let (lowest, _) = range(delay, assigned, elements);
         if !lowest.is_finite() {
-            let name =
-                delay.entry.map(|entry| elements[entry].parameter.name().to_owned()).unwrap_or_default();
+            let of_x = |entry: usize| elements.get(entry).map(|element| element.parameter.name());
+            let name = delay.entry.and_then(|entry| of_x(entry).or_else(|| assigned.derivation.name(entry)));
+            let name = name.unwrap_or_default().to_owned();
             let message = format!("its delay may reach {}. Set finite bounds for the delay", Number(lowest));
             return Err(CalibrationError::Parameter { name, message });
         }

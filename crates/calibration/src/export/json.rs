@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 impl Fit {
     /// Returns the results of the fit as JSON:
     ///
-    /// - parameters with errors, start, bounds and units (tied parameters last),
+    /// - parameters with errors, start, bounds and units (derived parameters last),
     /// - cost and RMS,
     /// - quality of fit of each output,
     /// - uncertainty,
@@ -64,16 +64,18 @@ impl Fit {
                     without_effect: self.without_effect.contains(&k),
                 }),
                 tied_to: None,
+                expr: None,
             }
         });
-        let tied = self.tied_parameters(calibration).into_iter().map(|tied| FitParameter {
-            name: tied.name,
-            value: tied.value,
-            standard_error: tied.standard_error,
-            start: tied.start,
-            unit: tied.unit,
+        let derived = self.derived.iter().map(|derived| FitParameter {
+            name: derived.name.clone(),
+            value: derived.value,
+            standard_error: self.uncertainty.as_ref().map(|uncertainty| derived.standard_error(uncertainty)),
+            start: derived.start,
+            unit: derived.unit.clone(),
             free: None,
-            tied_to: Some(tied.to),
+            tied_to: derived.tied_to.clone(),
+            expr: Some(derived.expression.clone()),
         });
         let report = &self.report;
         let model = &calibration.problem().model;
@@ -86,7 +88,7 @@ impl Fit {
                 path: model.path.display().to_string(),
                 sha256: model.content_hash.clone(),
             },
-            parameters: parameters.chain(tied).collect(),
+            parameters: parameters.chain(derived).collect(),
             cost: self.cost,
             rms: self.rms,
             start_cost: self.start_cost,
@@ -130,7 +132,7 @@ pub struct FitDocument<'f> {
     /// Program and version that wrote the document.
     written_by: &'static str,
     model: FitModel,
-    /// Parameters of the search, followed by tied parameters.
+    /// Parameters of the search, followed by derived parameters.
     parameters: Vec<FitParameter>,
     cost: f64,
     /// Root of the mean squared residual.
@@ -202,12 +204,15 @@ struct FitParameter {
     standard_error: Option<f64>,
     start: f64,
     unit: Option<String>,
-    /// Fields of parameters that are not tied.
+    /// Fields of parameters that are not derived.
     #[serde(flatten)]
     free: Option<FreeParameter>,
     /// Name of the parameter that this parameter is tied to.
     #[serde(skip_serializing_if = "Option::is_none")]
     tied_to: Option<String>,
+    /// Formula of a derived parameter.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    expr: Option<String>,
 }
 
 #[derive(Debug, Serialize)]

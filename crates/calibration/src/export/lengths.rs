@@ -22,6 +22,9 @@ fn check_fit(fit: &Fit, place: &str) -> Result<(), String> {
         ("report.x", report.x.len()),
     ];
     lengths.into_iter().try_for_each(|(field, found)| same(place, field, found, n))?;
+    for (k, derived) in fit.derived.iter().enumerate() {
+        same(place, &format!("derived[{k}].slopes"), derived.slopes.len(), n)?;
+    }
     let at_bound: Vec<usize> = at_bound.iter().map(|(index, _)| *index).collect();
     below(place, "at_bound", &at_bound, n)?;
     below(place, "without_effect", without_effect, n)?;

@@ -21,7 +21,7 @@ use std::path::Path;
 const FORMAT: &str = "fmufit fit";
 
 /// Format version that this version of the code reads and writes. It changes with any change of the contents.
-const FORMAT_VERSION: u64 = 7;
+const FORMAT_VERSION: u64 = 8;
 
 /// First item of a file.
 #[derive(Serialize, Deserialize)]

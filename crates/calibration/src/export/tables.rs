@@ -4,8 +4,8 @@ use super::files::{check_belongs, write};
 use crate::error::CalibrationError;
 use crate::fit::one_stage::Fit;
 use crate::loaded::calibration::Calibration;
-use crate::problem::assignment::Affine;
 use crate::problem::parameter::Parameter;
+use crate::uncertainty::derived_value::DerivedValue;
 use base::RunContext;
 use dfo::Outcome;
 use std::path::Path;
@@ -17,8 +17,8 @@ use std::path::Path;
 #[serde(rename_all = "kebab-case")]
 pub enum Table {
     /// A row for each entry of `x`: name, value, standard errors (if the fit has them), start, bounds, unit,
-    /// and the bound at which it ended. Then a row for each tied parameter: name, unit, the parameter that it
-    /// is tied to, and the value, standard errors and start that follow from that parameter.
+    /// and the bound at which it ended. Then a row for each derived parameter: name, unit, bounds, the
+    /// parameter that it is tied to, its formula, and the value, standard errors and start that follow.
     #[default]
     Parameters,
     /// A row for each measurement that counts: experiment, variable, column, unit, time in s, measured value,
@@ -82,6 +82,7 @@ impl Fit {
             "unit",
             "at_bound",
             "tied_to",
+            "expr",
         ];
         let row = |(k, p): (usize, &Parameter)| {
             let uncertainty = self.uncertainty.as_ref();
@@ -101,24 +102,30 @@ impl Fit {
                 unit_of(p, calibration).unwrap_or_default(),
                 side.unwrap_or_default().to_owned(),
                 String::new(),
+                String::new(),
             ]
         };
-        let tied = |tied: Tied| {
+        let derived = |derived: &DerivedValue| {
+            let uncertainty = self.uncertainty.as_ref();
+            let error = uncertainty.map(|uncertainty| derived.standard_error(uncertainty));
+            let uncorrected = uncertainty.and_then(|uncertainty| derived.uncorrected_error(uncertainty));
+            let bound = |bound: f64| if bound.is_finite() { number(bound) } else { String::new() };
             vec![
-                tied.name,
-                number(tied.value),
-                tied.standard_error.map_or_else(String::new, number),
-                tied.uncorrected_error.map_or_else(String::new, number),
-                number(tied.start),
+                derived.name.clone(),
+                number(derived.value),
+                error.map_or_else(String::new, number),
+                uncorrected.map_or_else(String::new, number),
+                number(derived.start),
+                bound(derived.bounds.0),
+                bound(derived.bounds.1),
+                derived.unit.clone().unwrap_or_default(),
                 String::new(),
-                String::new(),
-                tied.unit.unwrap_or_default(),
-                String::new(),
-                tied.to,
+                derived.tied_to.clone().unwrap_or_default(),
+                derived.expression.clone(),
             ]
         };
         let rows = calibration.parameters().iter().enumerate().map(row);
-        let rows = rows.chain(self.tied_parameters(calibration).into_iter().map(tied));
+        let rows = rows.chain(self.derived.iter().map(derived));
         std::iter::once(header.map(str::to_owned).to_vec()).chain(rows).collect()
     }
 
@@ -191,49 +198,6 @@ impl Fit {
         let header = header.iter().copied().chain(self.names.iter().map(String::as_str)).map(str::to_owned);
         let rows = trace.iter().chain(trace.speculative()).map(row);
         std::iter::once(header.collect()).chain(rows).collect()
-    }
-}
-
-/// Parameter that is tied to another one, `factor * p + offset`. `to` is the name of the fitted parameter.
-pub(super) struct Tied {
-    pub(super) name: String,
-    pub(super) to: String,
-    pub(super) value: f64,
-    pub(super) start: f64,
-    /// Standard error of the other parameter times the magnitude of the factor.
-    pub(super) standard_error: Option<f64>,
-    pub(super) uncorrected_error: Option<f64>,
-    pub(super) unit: Option<String>,
-}
-
-impl Fit {
-    pub(super) fn tied_parameters(&self, calibration: &Calibration) -> Vec<Tied> {
-        let tied = &calibration.evaluator().tied;
-        let parameters = &calibration.problem().parameters;
-        let one = |(name, of): &(String, Affine)| {
-            let entry = of.entry?;
-            let error = |errors: &[f64]| errors.get(entry).map(|error| error * of.factor.abs());
-            let uncertainty = self.uncertainty.as_ref();
-            // The name of a parameter that follows a local one ends with its experiment.
-            let is_it = |p: &&Parameter| {
-                p.is_tied()
-                    && name
-                        .strip_prefix(p.name())
-                        .is_some_and(|rest| rest.is_empty() || rest.starts_with('['))
-            };
-            let parameter = parameters.iter().filter(is_it).max_by_key(|p| p.name().len());
-            Some(Tied {
-                name: name.clone(),
-                to: self.names[entry].clone(),
-                value: of.value(&self.x),
-                start: of.value(&self.start),
-                standard_error: uncertainty.and_then(|uncertainty| error(&uncertainty.standard_errors)),
-                uncorrected_error: uncertainty
-                    .and_then(|uncertainty| error(&uncertainty.uncorrected_errors()?)),
-                unit: parameter.and_then(|p| unit_of(p, calibration)),
-            })
-        };
-        tied.iter().filter_map(one).collect()
     }
 }
 

@@ -47,7 +47,19 @@ pub fn visible_error(error: &(dyn Error + 'static)) -> String {
         }
         cause = error.source();
     }
-    visible_line(&message).into_owned()
+    match marked(&message) {
+        Some((head, formula, mark)) => {
+            format!("{}\n{}\n{mark}", visible_line(head), visible_line(formula))
+        }
+        None => visible_line(&message).into_owned(),
+    }
+}
+
+/// Splits a message whose last two lines are a formula and a mark below the mistake in it.
+fn marked(message: &str) -> Option<(&str, &str, &str)> {
+    let (rest, mark) = message.rsplit_once('\n').filter(|(_, mark)| mark.trim_start() == "^")?;
+    let (head, formula) = rest.rsplit_once('\n')?;
+    Some((head, formula, mark))
 }
 
 /// Maximum number of characters of a text in a message.
@@ -82,5 +94,11 @@ mod tests {
         assert_eq!(shortened("abc"), "abc");
         let long = "\u{e4}".repeat(70);
         assert_eq!(shortened(&long), format!("{}... (140 bytes)", "\u{e4}".repeat(60)));
+    }
+
+    #[test]
+    fn marks_below_formulas_keep_their_lines() {
+        let error = crate::CalibrationError::Setup("k\n3: unknown\n    1 - k\u{b}\n        ^".to_owned());
+        assert_eq!(visible_error(&error), "k\\u{a}3: unknown\n    1 - k\\u{b}\n        ^");
     }
 }

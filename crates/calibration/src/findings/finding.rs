@@ -144,7 +144,37 @@ pub(crate) fn counts(findings: &[Finding]) -> String {
         .join(", ")
 }
 
-/// Returns a line for each finding, with the remedy below it. Each line begins with a line break.
+/// Merges notes that differ only in their subjects into the first one, which lists the other subjects.
+pub(crate) fn merged(findings: &[Finding]) -> Vec<Finding> {
+    let common = |finding: &Finding| match finding.subject.as_str() {
+        "" => finding.sentence.clone(),
+        subject => finding.sentence.replace(&format!("'{subject}'"), "''"),
+    };
+    let is_same = |a: &Finding, b: &Finding| {
+        b.severity == Severity::Note
+            && (a.severity, a.id, &a.remedy) == (b.severity, b.id, &b.remedy)
+            && common(a) == common(b)
+    };
+    let mut groups: Vec<Vec<&Finding>> = Vec::new();
+    for finding in findings {
+        match groups.iter_mut().find(|group| is_same(group[0], finding)) {
+            Some(group) => group.push(finding),
+            None => groups.push(vec![finding]),
+        }
+    }
+    let one = |group: Vec<&Finding>| {
+        let others: Vec<&str> = group[1..].iter().map(|finding| finding.subject.as_str()).collect();
+        let sentence = match others.is_empty() {
+            true => group[0].sentence.clone(),
+            false => format!("{} (also {})", group[0].sentence, others.join(", ")),
+        };
+        Finding { sentence, ..group[0].clone() }
+    };
+    groups.into_iter().map(one).collect()
+}
+
+/// Returns a line for each finding, with the remedy below it. Each line begins with a line break. Equal notes
+/// about several subjects have one line.
 pub(crate) fn table(findings: &[Finding]) -> String {
     let lines = |finding: &Finding| {
         let remedy = match finding.remedy.as_str() {
@@ -153,5 +183,39 @@ pub(crate) fn table(findings: &[Finding]) -> String {
         };
         format!("\n{:<8} {}{remedy}", finding.severity.name(), visible_line(&finding.text()))
     };
-    findings.iter().map(lines).collect()
+    merged(findings).iter().map(lines).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn equal_notes_about_several_subjects_have_one_line() {
+        let note = |subject: &str, sentence: &str| {
+            Finding::note(FindingId::ConstantColumn, subject, sentence, "Check it")
+        };
+        let warning = Finding::warning(FindingId::ConstantColumn, "out.5", "is constant", "Check it");
+        let findings = [
+            note("out.1", "is constant"),
+            note("out.2", "is constant"),
+            warning.clone(),
+            note("x1", "column 'x1' is constant"),
+            note("out.3", "is constant"),
+            note("x2", "column 'x2' is constant"),
+            note("out.4", "is zero"),
+            warning.clone(),
+        ];
+        let lines: Vec<String> = merged(&findings).iter().map(Finding::text).collect();
+        let id = "[F049 constant-column]";
+        let expected = [
+            format!("out.1: is constant (also out.2, out.3) {id}"),
+            format!("out.5: is constant {id}"),
+            format!("column 'x1' is constant (also x2) {id}"),
+            format!("out.4: is zero {id}"),
+            format!("out.5: is constant {id}"),
+        ];
+        assert_eq!(lines, expected);
+        assert_eq!(table(&findings).matches("Check it").count(), 5);
+    }
 }

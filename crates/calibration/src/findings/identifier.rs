@@ -158,6 +158,10 @@ identifiers! {
     DuplicateRows = 66 "duplicate-rows",
     /// The residuals are compared with the pure error of replicates.
     LackOfFit = 67 "lack-of-fit",
+    /// The noise of an output is below the error of its simulation.
+    NoiseBelowAccuracy = 68 "noise-below-accuracy",
+    /// The time unit in the settings differs from the one that the model states.
+    ContradictedTimeUnit = 69 "contradicted-time-unit",
 }
 
 impl FindingId {

@@ -2,6 +2,7 @@
 
 use crate::findings::display_text::digits;
 use crate::fit::one_stage::{Fit, FitNoise, ModelledNoise};
+use crate::fit::output_fit::OutputFit;
 use crate::problem::objective::{CostKind, NamedCost};
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF, FisherSnedecor};
@@ -81,12 +82,17 @@ impl Goodness {
 pub struct Comparison {
     /// Statistics of the two fits.
     pub fits: [Goodness; 2],
+    /// True if the fits have different weights, or if only one of them minimised the likelihood or has known
+    /// noise. The criteria are then those of the likelihood of the measurements themselves, and unknown
+    /// variances count as parameters. `chisqr` and `redchi` have the weights of each fit.
+    #[serde(default)]
+    pub is_of_measurements: bool,
     /// F statistic of the decrease of `chisqr` by the additional parameters of the larger model. `None` if
-    /// both fits have the same number of parameters or error models, if a fit minimised the likelihood, or if
-    /// the larger model leaves no degree of freedom.
+    /// both fits have the same number of parameters, error models or different weights, if a fit minimised
+    /// the likelihood, or if the larger model leaves no degree of freedom.
     pub f: Option<f64>,
     /// Probability of a larger F if the smaller model is right. It requires that the models are nested: the
-    /// smaller one is the larger one with fixed or tied parameters.
+    /// smaller one is the larger one with fixed or derived parameters.
     pub p_value: Option<f64>,
 }
 
@@ -129,7 +135,39 @@ impl Fit {
         self.noise.as_ref().map_or(&[], FitNoise::models)
     }
 
-    /// Compares this fit with another fit to the same measurements with the same weights. The F statistic of
+    /// Returns the statistics with the criteria of the likelihood of the measurements instead of the weighted
+    /// residuals, up to the constant `N (1 + ln 2 pi)`. The weights 1/sigma of an output add `2 sum ln
+    /// sigma`, so fits with different weights can be compared. Returns `None` if the weights are unknown.
+    fn goodness_of_measurements(&self) -> Option<Goodness> {
+        let log_weights: f64 = self.outputs.iter().map(|output| output.log_weights).sum::<Option<f64>>()?;
+        let of = self.goodness();
+        let n = of.ndata as f64;
+        let is_noise_known = self.noise.as_ref().is_some_and(FitNoise::is_known);
+        let (likelihood, n_variances) = match self.likelihood_of_outputs() {
+            Some((likelihood, more)) => (likelihood, more + 1),
+            None if is_noise_known => (of.chisqr - n, 0),
+            None => (n * (of.chisqr / n).ln(), 1),
+        };
+        let criteria = Some((likelihood - 2.0 * log_weights, n_variances));
+        Some(Goodness::new(of.chisqr, of.ndata, of.nvarys, is_noise_known, criteria))
+    }
+
+    /// True if the criteria of the weighted residuals of two fits do not have the same constant.
+    fn differs_in_weights(&self, other: &Self) -> bool {
+        let pairs = self.outputs.iter().zip(&other.outputs);
+        let is_other = |(a, b): (&OutputFit, &OutputFit)| match (a.log_weights, b.log_weights) {
+            // The sums of equal weights differ by rounding only.
+            (Some(a), Some(b)) => (a - b).abs() > 1e-9 * (1.0 + a.abs()),
+            _ => false,
+        };
+        let is_likelihood = |fit: &Self| fit.likelihood_of_outputs().is_some();
+        let is_known = |fit: &Self| fit.noise.as_ref().is_some_and(FitNoise::is_known);
+        let is_one_likelihood = is_likelihood(self) != is_likelihood(other);
+        pairs.into_iter().any(is_other) || (is_one_likelihood && is_known(self) != is_known(other))
+    }
+
+    /// Compares this fit with another fit to the same measurements. With different weights, the criteria are
+    /// those of the likelihood of the measurements ([`Comparison::is_of_measurements`]). The F statistic of
     /// models with k1 and k2 > k1 parameters is `(chisqr1 - chisqr2) / (k2 - k1) / redchi2` (Seber and Wild,
     /// Nonlinear Regression, 1989, section 5.3). Fits with an error model have different weights, so only
     /// their information criteria are compared.
@@ -154,17 +192,24 @@ impl Fit {
                         Use an error model in both, such as 'a + b*abs(y)' and 'b*abs(y)'"
                 .to_owned());
         }
-        let fits = [self.goodness(), other.goodness()];
+        let of_weighted = || [self.goodness(), other.goodness()];
+        let of_measurements = || Some([self.goodness_of_measurements()?, other.goodness_of_measurements()?]);
+        let is_other = self.models().is_empty() && self.differs_in_weights(other);
+        let (fits, is_of_measurements) = match is_other.then(of_measurements).flatten() {
+            Some(fits) => (fits, true),
+            None => (of_weighted(), false),
+        };
         let (small, large) = if fits[0].nvarys <= fits[1].nvarys { (0, 1) } else { (1, 0) };
         let (small, large) = (fits[small], fits[large]);
         let (added, nfree) = ((large.nvarys - small.nvarys) as f64, large.nfree as f64);
         let has_variances = self.likelihood_of_outputs().or(other.likelihood_of_outputs()).is_some();
-        let of =
-            FisherSnedecor::new(added, nfree).ok().filter(|_| self.models().is_empty() && !has_variances);
+        let of = FisherSnedecor::new(added, nfree)
+            .ok()
+            .filter(|_| self.models().is_empty() && !has_variances && !is_of_measurements);
         let f = of.map(|_| (small.chisqr - large.chisqr) / added / large.redchi);
         // A model that is not nested may have a larger sum of squares.
         let p_value = of.zip(f).map(|(of, f)| of.sf(f.max(0.0)));
-        Ok(Comparison { fits, f, p_value })
+        Ok(Comparison { fits, is_of_measurements, f, p_value })
     }
 }
 
@@ -179,6 +224,13 @@ impl fmt::Display for Comparison {
             }
             writeln!(out)?;
         }
+        if self.is_of_measurements {
+            writeln!(
+                out,
+                "the fits differ in weights or in knowledge of the noise: aic, aicc and bic are those of the likelihood of the measurements, \
+                 with unknown variances as parameters; chisqr and redchi cannot be compared"
+            )?;
+        }
         match (self.f, self.p_value) {
             (Some(f), Some(p)) => {
                 write!(
@@ -190,7 +242,7 @@ impl fmt::Display for Comparison {
             }
             _ => write!(
                 out,
-                "no F test: the fits have an error model or minimised the likelihood, have the same number of parameters, or no degrees of freedom"
+                "no F test: the fits have an error model or different weights, or minimised the likelihood, have the same number of parameters, or no degrees of freedom"
             ),
         }
     }

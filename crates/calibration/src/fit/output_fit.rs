@@ -34,6 +34,10 @@ pub struct OutputFit {
     /// True if the fit compared [logarithms](crate::Weight::Log).
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub is_log: bool,
+    /// Sum of the logarithms of the weights of the calibration that are not zero. `None` for fits of older
+    /// versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub log_weights: Option<f64>,
 }
 
 /// Residuals, with weights and loss, that the search of a fit computed at its start and at the point of the
@@ -165,11 +169,18 @@ impl Calibration {
                 rms: rms_at_end,
                 start_rms: start.map(rms),
                 is_log: series.is_log,
+                log_weights: log_weights(series),
                 fit_percent: 100.0 * (1.0 - rms_at_end / deviation(&series.measured_values())),
             }
         };
         self.residual_layout().outputs.iter().map(of_output).collect()
     }
+}
+
+/// Returns the sum of the logarithms of the weights that are not zero, or `None` if it is not finite.
+pub(crate) fn log_weights(output: &OutputResiduals) -> Option<f64> {
+    let weights = output.weights.iter().filter(|weight| **weight != 0.0);
+    Some(weights.map(|weight| weight.ln()).sum::<f64>()).filter(|sum| sum.is_finite())
 }
 
 /// Returns the root of the mean squared distance from the mean, or NaN if all values are equal.

@@ -8,8 +8,9 @@ use crate::cost::request::Job;
 use crate::cost::residual::CostRule;
 use crate::cost::split::Slots;
 use crate::error::CalibrationError;
+use crate::expression::Relation;
 use crate::findings::finding::Severity;
-use crate::problem::assignment::Affine;
+use crate::problem::constraint::Constraints;
 use crate::problem::definition::{ModelFile, Problem};
 use crate::problem::experiment::Experiment;
 use crate::problem::fingerprint::{hash, identity};
@@ -60,6 +61,7 @@ pub struct CalibrationBuilder {
     experiments: Vec<Experiment>,
     parameters: Vec<Parameter>,
     settings: SimulationSettings,
+    constraints: Vec<Relation>,
 }
 
 impl CalibrationBuilder {
@@ -77,6 +79,14 @@ impl CalibrationBuilder {
         self
     }
 
+    /// Adds a constraint between the parameters, such as `"tau1 <= tau2".parse()?`. Linear constraints hold
+    /// at every point of the search; nonlinear ones hold at the result within the option `constraint_tol`.
+    #[must_use]
+    pub fn constraint(mut self, constraint: Relation) -> Self {
+        self.constraints.push(constraint);
+        self
+    }
+
     /// Sets the settings of the simulations.
     #[must_use]
     pub fn settings(mut self, settings: impl Into<SimulationSettings>) -> Self {
@@ -90,9 +100,14 @@ impl CalibrationBuilder {
     /// Returns an error for unknown names, parameters that cannot be set, and invalid bounds or data. For an
     /// unknown name, the message lists the nearest names.
     pub fn build(self) -> Result<Calibration, CalibrationError> {
-        let Self { fmu, experiments, parameters, settings } = self;
+        let Self { fmu, experiments, parameters, settings, constraints } = self;
         let model = ModelFile::of(&fmu)?;
-        Calibration::from_problem(fmu, Problem { model, parameters, experiments, settings })
+        let calibration = Calibration::from_problem(
+            fmu,
+            Problem { model, parameters, experiments, settings, constraints },
+        )?;
+        calibration.evaluator.check_derived_at(&calibration.start())?;
+        Ok(calibration)
     }
 }
 
@@ -104,6 +119,7 @@ impl Calibration {
             experiments: Vec::new(),
             parameters: Vec::new(),
             settings: SimulationSettings::default(),
+            constraints: Vec::new(),
         }
     }
 
@@ -227,26 +243,17 @@ impl Calibration {
         self.evaluator.prior_residuals(x, &mut residuals).unwrap_or(f64::NAN)
     }
 
-    /// Returns the [tied](Parameter::tied) parameters with their values at `x`. A parameter tied to a local
-    /// parameter occurs once per experiment.
+    /// Returns the [derived](Parameter::derived) and [tied](Parameter::tied) parameters with their values at
+    /// `x`. A value that follows from a local parameter occurs once per experiment.
     ///
     /// # Panics
     /// Panics if the length of `x` differs from the number of parameters.
-    pub fn tied_values(&self, x: &[f64]) -> Vec<(String, f64)> {
-        self.evaluator.tied.iter().map(|(name, of)| (name.clone(), of.value(x))).collect()
-    }
-
-    /// Returns the tied parameters with their standard errors, which are the errors of the parameters that
-    /// they follow, times the size of the factor.
-    pub fn tied_errors(&self, errors: &[f64]) -> Vec<(String, f64)> {
-        let error = |of: &Affine| {
-            of.factor.abs() * of.entry.and_then(|entry| errors.get(entry)).copied().unwrap_or(0.0)
-        };
-        self.evaluator.tied.iter().map(|(name, of)| (name.clone(), error(of))).collect()
+    pub fn derived_values(&self, x: &[f64]) -> Vec<(String, f64)> {
+        self.evaluator.derived_values(x).map(|(reported, value)| (reported.name.clone(), value)).collect()
     }
 
     /// Returns the variables that are set in the model at `x`, with their values in the units of the model.
-    /// The simulation belongs to the experiment with index `experiment`, from 0. Tied values are included;
+    /// The simulation belongs to the experiment with index `experiment`, from 0. Derived values are included;
     /// delays and offsets are not.
     ///
     /// # Panics
@@ -255,6 +262,11 @@ impl Calibration {
     pub fn model_values(&self, experiment: usize, x: &[f64]) -> Vec<(String, f64)> {
         let simulation = &self.evaluator.simulations[experiment];
         simulation.named_values(x).map(|(name, value)| (name.to_owned(), value)).collect()
+    }
+
+    /// Returns the constraints between the parameters.
+    pub fn constraints(&self) -> &Constraints {
+        &self.evaluator.constraints
     }
 
     /// Returns the start values of all parameters.

@@ -4,14 +4,15 @@ use crate::data::{TimeUnit, UnitConversion};
 use crate::error::CalibrationError;
 use crate::problem::column_units::declared;
 use crate::problem::definition::{Element, Problem};
+use crate::problem::derived::{Derivation, entry};
 use crate::problem::experiment::{Experiment, InitialState};
 use crate::problem::input::Shift;
 use crate::problem::parameter::{Cycle, Parameter, Target};
 use base::Number;
 use fmi::{ModelDescription, Value};
 
-/// A number that is constant or follows an entry of `x`: `factor * x[entry] + offset`, converted to another
-/// unit.
+/// A number that is constant or follows an entry of the extended values (`x` and the derived values):
+/// `factor * values[entry] + offset`, converted to another unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Affine {
     pub(crate) entry: Option<usize>,
@@ -67,7 +68,7 @@ impl Affine {
     }
 
     /// Returns the number in the unit of the parameter.
-    pub(crate) fn value(&self, x: &[f64]) -> f64 {
+    fn value(&self, x: &[f64]) -> f64 {
         let Some(entry) = self.entry else { return self.offset };
         let x = self.cycle.map_or(x[entry], |cycle| cycle.wrapped(x[entry]));
         match (self.factor, self.offset) {
@@ -93,7 +94,7 @@ pub(crate) struct Shifts {
 }
 
 impl Shifts {
-    /// Returns the numbers at `x`.
+    /// Returns the numbers at the extended values.
     pub(crate) fn at(&self, x: &[f64]) -> Shift {
         let [delay, factor, offset] = [self.delay, self.factor, self.offset].map(|of| of.in_model(x));
         Shift { delay, factor, offset }
@@ -103,6 +104,8 @@ impl Shifts {
 /// Quantities of the simulation of one experiment that the entries of `x` set.
 #[derive(Debug)]
 pub(crate) struct Assignments {
+    /// Derived parameters.
+    pub(crate) derivation: Derivation,
     /// Variables of the model.
     pub(crate) variables: Vec<(String, Affine)>,
     pub(crate) outputs: Vec<Shifts>,
@@ -126,12 +129,13 @@ impl Assignments {
             Shifts { delay, factor: Affine::constant(1.0), offset: Affine::constant(0.0) }
         };
         let mut all = Self {
+            derivation: Derivation::new(problem, k, elements)?,
             variables: Vec::new(),
             outputs: experiment.outputs.iter().map(|output| constant(&output.variable)).collect(),
             inputs: experiment.inputs.iter().map(|(input, _)| constant(input)).collect(),
             is_identity: false,
         };
-        for (parameter, of) in follow(problem, k, elements)? {
+        for (parameter, of) in follow(problem, k, elements, &all.derivation)? {
             match parameter.target() {
                 Target::Variables(variables) => {
                     for variable in variables {
@@ -169,68 +173,40 @@ impl Assignments {
         outputs.chain(inputs).filter(move |(name, _)| *name == variable).map(|(_, shift)| shift)
     }
 
-    /// Returns the delay, the factor and the offset of each input at `x`.
+    /// Returns the delay, the factor and the offset of each input at the extended values.
     pub(crate) fn input_shifts(&self, x: &[f64]) -> impl Iterator<Item = Shift> {
         self.inputs.iter().map(|shifts| shifts.at(x))
     }
 }
 
-/// Returns the parameters of an experiment with the entries of `x` that they follow. Fitted initial states
-/// come last.
+/// Returns the parameters of an experiment with the entries that they follow. Fitted initial states come
+/// last.
 fn follow<'a>(
     problem: &'a Problem,
     k: usize,
     elements: &'a [Element],
+    derivation: &Derivation,
 ) -> Result<Vec<(&'a Parameter, Affine)>, CalibrationError> {
-    let entry = |source: usize| {
-        elements.iter().position(|e| e.source == Some(source) && e.experiment.is_none_or(|only| only == k))
-    };
     let mut all = Vec::with_capacity(elements.len());
     let name = &problem.experiment_names()[k];
+    let plain = |entry: Option<usize>, cycle: Option<Cycle>| Affine {
+        entry,
+        factor: 1.0,
+        offset: 0.0,
+        unit: UnitConversion::IDENTITY,
+        cycle,
+    };
     let acting = problem.parameters.iter().enumerate().filter(|(_, parameter)| parameter.acts_in(name));
     for (i, parameter) in acting {
-        let (of, factor, offset) = match parameter.tie() {
-            Some(tie) => (problem.tied_to(parameter, tie)?, tie.factor, tie.offset),
-            None => (i, 1.0, 0.0),
+        let Some(entry) = derivation.entry_of(i).or_else(|| entry(elements, i, k)) else {
+            let message = format!("it has no value in {name}");
+            return Err(CalibrationError::Parameter { name: parameter.name().to_owned(), message });
         };
-        let entry = Some(entry(of).ok_or_else(|| CalibrationError::Parameter {
-            name: parameter.name().to_owned(),
-            message: format!(
-                "it is tied to '{}', which does not act in {name}. List the experiments of both",
-                problem.parameters[of].name()
-            ),
-        })?);
-        let cycle = problem.parameters[of].cycle();
-        all.push((parameter, Affine { entry, factor, offset, unit: UnitConversion::IDENTITY, cycle }));
+        all.push((parameter, plain(Some(entry), parameter.cycle())));
     }
     for (i, element) in elements.iter().enumerate() {
         if element.source.is_none() && element.experiment == Some(k) {
-            let (unit, cycle) = (UnitConversion::IDENTITY, element.parameter.cycle());
-            let of = Affine { entry: Some(i), factor: 1.0, offset: 0.0, unit, cycle };
-            all.push((&element.parameter, of));
-        }
-    }
-    Ok(all)
-}
-
-/// Returns the tied values by name. Values tied to a local parameter occur once per experiment.
-pub(crate) fn tied_values(
-    problem: &Problem,
-    elements: &[Element],
-) -> Result<Vec<(String, Affine)>, CalibrationError> {
-    let mut all = Vec::new();
-    for parameter in &problem.parameters {
-        let Some(tie) = parameter.tie() else { continue };
-        let of = problem.tied_to(parameter, tie)?;
-        let entries = elements.iter().enumerate().filter(|(_, e)| e.source == Some(of));
-        for (entry, element) in entries {
-            let name = match element.experiment {
-                Some(k) => parameter.in_experiment(&problem.experiment_names()[k], None).name().to_owned(),
-                None => parameter.name().to_owned(),
-            };
-            let (factor, offset) = (tie.factor, tie.offset);
-            let (unit, cycle) = (UnitConversion::IDENTITY, element.parameter.cycle());
-            all.push((name, Affine { entry: Some(entry), factor, offset, unit, cycle }));
+            all.push((&element.parameter, plain(Some(i), element.parameter.cycle())));
         }
     }
     Ok(all)

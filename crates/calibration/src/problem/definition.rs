@@ -2,12 +2,15 @@
 
 use crate::data::{UnitConversion, UnitError};
 use crate::error::CalibrationError;
+use crate::expression::Relation;
 use crate::problem::error_model::ErrorModel;
 use crate::problem::experiment::{Experiment, InitialState, Measured, Weight};
 use crate::problem::parameter::{Parameter, Tie};
 use crate::problem::resolution::{check_names, check_targets};
 use crate::problem::settings::SimulationSettings;
-use crate::problem::warning::{SetupWarning, clock_change, duplicate_rows, ignored_nominals, unused_columns};
+use crate::problem::warning::{
+    SetupWarning, clock_change, duplicate_rows, ignored_nominals, other_time_unit, unused_columns,
+};
 use base::Number;
 use fmi::{FmiError, Fmu, ModelDescription};
 use serde::{Deserialize, Serialize};
@@ -35,6 +38,9 @@ pub struct Problem {
     pub experiments: Vec<Experiment>,
     /// Settings of the simulations.
     pub settings: SimulationSettings,
+    /// Constraints between the parameters, as written.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub constraints: Vec<Relation>,
 }
 
 /// A fitted value: an entry of `x`.
@@ -101,15 +107,16 @@ impl Problem {
         }
     }
 
-    /// Returns the entries of `x`. The untied parameters come first, in their order, with one entry per
-    /// experiment for a local parameter. The fitted initial states follow, experiment by experiment.
+    /// Returns the entries of `x`. The parameters that are not derived come first, in their order, with one
+    /// entry per experiment for a local parameter. The fitted initial states follow, experiment by
+    /// experiment.
     pub(crate) fn elements(&self) -> Result<Vec<Element>, CalibrationError> {
         let names = self.experiment_names();
         let mut elements: Vec<Element> = Vec::with_capacity(self.parameters.len());
         for (i, parameter) in self.parameters.iter().enumerate() {
             parameter.check()?;
             let source = Some(i);
-            if parameter.is_tied() {
+            if parameter.is_derived() {
                 continue;
             }
             if !parameter.is_local() {
@@ -140,28 +147,6 @@ impl Problem {
         Ok(elements)
     }
 
-    /// Returns the index of the parameter that this one is tied to.
-    pub(crate) fn tied_to(&self, parameter: &Parameter, tie: Tie<'_>) -> Result<usize, CalibrationError> {
-        let bad =
-            |message: String| Err(CalibrationError::Parameter { name: parameter.name().to_owned(), message });
-        let Tie { to, .. } = tie;
-        match self.parameters.iter().position(|p| p.name() == to) {
-            _ if to == parameter.name() => bad("it is tied to itself".to_owned()),
-            Some(number) => match self.parameters[number].tie() {
-                Some(next) => bad(format!(
-                    "it is tied to '{to}', which is tied to '{}'. Tie both to a parameter that is not tied",
-                    next.to
-                )),
-                None => Ok(number),
-            },
-            None => {
-                let free = self.parameters.iter().filter(|p| !p.is_tied()).map(Parameter::name);
-                let free = free.collect::<Vec<_>>().join(", ");
-                bad(format!("it is tied to '{to}', which does not exist; available: {free}"))
-            }
-        }
-    }
-
     /// Checks the problem against the model description and returns warnings about doubtful parts.
     pub(crate) fn check(
         &self,
@@ -173,10 +158,8 @@ impl Problem {
         if self.experiments.is_empty() {
             return Err(CalibrationError::Setup("experiments is empty. Add an experiment".to_owned()));
         }
-        // Every tied parameter follows an untied one, so at least one entry is fitted.
-        for parameter in &self.parameters {
-            parameter.tie().map(|tie| self.tied_to(parameter, tie)).transpose()?;
-        }
+        // Every derived parameter follows from others without a circle, so at least one entry is fitted.
+        self.check_formulas()?;
         for (i, parameter) in self.parameters.iter().enumerate() {
             if self.parameters[..i].iter().any(|p| p.name() == parameter.name()) {
                 let name = parameter.name().to_owned();
@@ -213,8 +196,9 @@ impl Problem {
         self.check_logarithms(true)?;
         check_targets(&self.parameters, &self.experiments, &names, description)?;
         for parameter in &self.parameters {
-            if let Some(tie) = parameter.tie().filter(|tie| !tie.across_units) {
-                let other = &self.parameters[self.tied_to(parameter, tie)?];
+            let tie = parameter.tie().filter(|tie| !tie.across_units);
+            let other = tie.and_then(|tie| self.parameters.iter().find(|other| other.name() == tie.to));
+            if let (Some(tie), Some(other)) = (tie, other) {
                 check_units_of_tie(parameter, other, tie, description)?;
             }
         }
@@ -230,6 +214,7 @@ impl Problem {
             warnings.extend(doubts.map(|warning| self.warning_in(k, warning)));
         }
         warnings.extend(ignored_nominals(&self.parameters));
+        warnings.extend(other_time_unit(self.settings.time_unit.as_deref(), description));
         Ok(warnings)
     }
 

@@ -1,5 +1,6 @@
 //! Error model of an output: a standard deviation that depends on the simulated value.
 
+use crate::expression::{Expression, Factor};
 use base::Number;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -31,13 +32,15 @@ pub enum Coefficient {
 const AT_START: f64 = 0.1;
 
 impl Coefficient {
-    fn parse(text: &str) -> Option<Self> {
-        if let Ok(value) = text.parse::<f64>() {
-            return (value.is_finite() && value >= 0.0).then_some(Self::Stated(value));
+    fn of(factor: Factor<'_>) -> Option<Self> {
+        match factor {
+            Factor::Number(value) => (value >= 0.0).then_some(Self::Stated(value)),
+            Factor::Name(name) => {
+                let is_word = name.chars().all(|c| c.is_alphanumeric() || c == '_');
+                is_word.then(|| Self::Fitted(name.to_owned()))
+            }
+            Factor::Magnitude(_) => None,
         }
-        let is_word = text.chars().all(|c| c.is_alphanumeric() || c == '_');
-        let is_name = is_word && text.starts_with(|c: char| c.is_alphabetic() || c == '_') && text != "y";
-        is_name.then(|| Self::Fitted(text.to_owned()))
     }
 
     /// Returns the stated value.
@@ -70,6 +73,12 @@ impl ErrorModel {
     /// True if the text is an error model, or is meant to be one. All other strings are names of columns.
     pub fn is_meant(text: &str) -> bool {
         text.contains("abs(") || text.parse::<Self>().is_ok()
+    }
+
+    /// True if the text may be the name of an estimated coefficient.
+    pub fn is_coefficient(text: &str) -> bool {
+        matches!(Coefficient::of(Factor::Name(text)), Some(Coefficient::Fitted(_)))
+            && !text.starts_with(|c: char| c.is_ascii_digit())
     }
 
     /// True if a coefficient is estimated by the fit.
@@ -190,23 +199,19 @@ impl FromStr for ErrorModel {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let compact: String = text.chars().filter(|c| !c.is_whitespace()).collect();
         let invalid = || {
             format!(
                 "'{text}' is not an error model. Write 'a + b*abs(y)' with a non-negative number or a name for each of a and b"
             )
         };
+        let expression: Expression = text.parse().map_err(|_| invalid())?;
         let (mut constant, mut proportional) = (None, None);
-        for term in terms(&compact) {
-            let factor = |y: &str| {
-                let before = term.strip_suffix(y).and_then(|rest| rest.strip_suffix('*'));
-                before.or_else(|| term.strip_prefix(y).and_then(|rest| rest.strip_prefix('*')))
-            };
-            let (place, coefficient) = match factor("abs(y)").or_else(|| factor("y")) {
-                Some(coefficient) => (&mut proportional, coefficient),
-                None => (&mut constant, term),
-            };
-            let coefficient = Coefficient::parse(coefficient).filter(|_| place.is_none());
+        for term in expression.terms().ok_or_else(invalid)? {
+            let is_y = |factor: &Factor<'_>| matches!(factor, Factor::Name("y") | Factor::Magnitude("y"));
+            let (of_y, others): (Vec<Factor<'_>>, Vec<_>) = term.into_iter().partition(is_y);
+            let place = if of_y.is_empty() { &mut constant } else { &mut proportional };
+            let [coefficient] = others[..] else { return Err(invalid()) };
+            let coefficient = Coefficient::of(coefficient).filter(|_| place.is_none() && of_y.len() < 2);
             *place = Some(coefficient.ok_or_else(invalid)?);
         }
         let zero = || Coefficient::Stated(0.0);
@@ -220,23 +225,6 @@ impl FromStr for ErrorModel {
         let is_column = proportional.is_none() && found.constant.stated().is_none();
         if is_zero || has_same_names || is_column { Err(invalid()) } else { Ok(found) }
     }
-}
-
-/// Splits a text at `+`, except in exponents of numbers.
-fn terms(text: &str) -> Vec<&str> {
-    let is_exponent = |at: usize| {
-        let before = &text[..at];
-        let digits = before.strip_suffix(['e', 'E']).and_then(|rest| rest.rsplit(['+', '*']).next());
-        digits.is_some_and(|digits| digits.parse::<f64>().is_ok())
-    };
-    let mut found = Vec::new();
-    let mut begin = 0;
-    for (at, _) in text.match_indices('+').filter(|(at, _)| !is_exponent(*at)) {
-        found.push(&text[begin..at]);
-        begin = at + 1;
-    }
-    found.push(&text[begin..]);
-    found
 }
 
 #[cfg(test)]
@@ -273,6 +261,10 @@ mod tests {
             "0.1 + b*abs(x)",
             "-1",
             "1+",
+            "a*y*y",
+            "a*b*y",
+            "e*y",
+            "a.b*y",
         ] {
             assert!(text.parse::<ErrorModel>().unwrap_err().contains("is not an error model"), "{text}");
         }

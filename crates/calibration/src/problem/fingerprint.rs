@@ -36,10 +36,12 @@ pub(crate) fn identity(
     all.extend(fields("the simulations", &settings)?.into_iter().filter(is_known));
     for parameter in &problem.parameters {
         let own = fields(&format!("parameter {}", parameter.name()), &parameter.without_search())?;
-        // Checkpoints of older versions have no periodic parameters.
-        all.extend(
-            own.into_iter().filter(|(name, value)| value != "false" || !name.starts_with("periodic ")),
-        );
+        // Checkpoints of older versions have no periodic and no derived parameters.
+        let is_older = |(name, value): &(String, String)| {
+            !(value == "false" && name.starts_with("periodic ")
+                || value == "none" && name.starts_with("expr "))
+        };
+        all.extend(own.into_iter().filter(is_older));
     }
     for (k, experiment) in problem.experiments.iter().enumerate() {
         all.push((format!("data of experiment {k}"), experiment.data.hash()));

@@ -2,6 +2,7 @@
 
 use crate::data::Series;
 use crate::error::CalibrationError;
+use crate::problem::error_model::ErrorModel;
 use crate::problem::experiment::{Experiment, InitialState, Measured, Sigma, Weight};
 use base::Number;
 
@@ -232,7 +233,7 @@ fn inverse_of_sigma(
                  original recording with this column"
             ));
         }
-        Sigma::Column(column) => data.series(column)?,
+        Sigma::Column(column) => data.series(column).map_err(|error| with_hint_of_sigma(error, column))?,
         Sigma::Rows(sigmas) if sigmas.len() != n => {
             let when = if experiment.resample.is_some() { " before resample takes means" } else { "" };
             return setup(format!(
@@ -253,6 +254,19 @@ fn inverse_of_sigma(
             Number(data.time()[row])
         )),
         None => Ok(sigmas.iter().map(|sigma| if sigma.is_nan() { 1.0 } else { 1.0 / sigma }).collect()),
+    }
+}
+
+/// Adds to the error of a missing column that a name alone is not an estimated standard deviation.
+fn with_hint_of_sigma(error: CalibrationError, name: &str) -> CalibrationError {
+    match error {
+        CalibrationError::Data { source_name, message } if ErrorModel::is_coefficient(name) => {
+            let message = format!(
+                "{message}. sigma '{name}' is the name of a column; write '{name} + 0*abs(y)' for a standard deviation that the fit estimates"
+            );
+            CalibrationError::Data { source_name, message }
+        }
+        other => other,
     }
 }
 

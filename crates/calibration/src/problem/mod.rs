@@ -2,7 +2,9 @@
 
 pub(crate) mod assignment;
 pub(crate) mod column_units;
+pub(crate) mod constraint;
 pub(crate) mod definition;
+pub(crate) mod derived;
 pub(crate) mod document;
 pub(crate) mod error_model;
 pub(crate) mod experiment;

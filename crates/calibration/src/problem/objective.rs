@@ -45,6 +45,13 @@ pub enum NamedCost {
     /// covariance). N_o excludes residuals without noise: residuals of weight zero, and the residual of the
     /// measurement that a simulation starts from. Priors add half of their squares.
     ///
+    /// The standard deviation of an output is at least the error of its simulation, `10 T |y|` for the
+    /// relative tolerance T and the root mean square `|y|` of the measurements. Otherwise an output with less
+    /// noise than that would be fitted to the errors of the simulation. Below this limit, an output adds
+    /// `N_o / 2 ln v_o + r_o' r_o / (2 v_o) - N_o / 2` with the variance v_o of the limit, the maximum of its
+    /// likelihood over the allowed variances. If all outputs are below their limits, all limits are reduced
+    /// by the same factor until one output reaches it.
+    ///
     /// Least squares minimises it as the sum of squares `N exp(2 L / N)`, where L is the cost and N the
     /// number of residuals with noise. Each evaluation multiplies the residuals of an output with `sqrt(G /
     /// v_o)`. Here `v_o = r_o' r_o / N_o` is the variance of the output at this point, and G is the geometric
@@ -249,8 +256,7 @@ impl NamedCost {
             }
             Self::Likelihood => {
                 let of_priors = 0.5 * squares(&residuals[layout.n_measurements()..]);
-                let of = |noise: VariableNoise| 0.5 * noise.n * noise.variance.ln();
-                VariableNoise::all(layout, residuals).map(of).fold(of_priors, |total, own| total + own)
+                VariableNoise::all(layout, residuals).iter().fold(of_priors, |sum, own| sum + own.cost())
             }
         }
     }
@@ -262,21 +268,43 @@ struct VariableNoise<'a> {
     /// Number of residuals with noise; a tiny number if there is none.
     n: f64,
     squares: f64,
-    /// Best variance.
+    /// Best variance that is not below the variance of the error of the simulation.
     variance: f64,
+    /// True if the variance is the limit, because the squares of the residuals are smaller.
+    is_limited: bool,
 }
 
+/// Error of a simulation relative to its relative tolerance. The root mean square errors of the outputs of
+/// the tank, the oscillator and the pendulum are 0.005 to 7 times the tolerance, for tolerances from 1e-9 to
+/// 1e-4.
+const ERROR_PER_TOLERANCE: f64 = 10.0;
+
 impl<'a> VariableNoise<'a> {
-    fn all(layout: &'a ResidualLayout, residuals: &'a [f64]) -> impl Iterator<Item = Self> + 'a {
+    fn all(layout: &'a ResidualLayout, residuals: &'a [f64]) -> Vec<Self> {
         let outputs = &layout.outputs;
         let is_first = |k: &usize| outputs[..*k].iter().all(|o| o.variable != outputs[*k].variable);
-        (0..outputs.len()).filter(is_first).map(move |k| {
+        let of = |k: usize| {
             let own = outputs[k..].iter().filter(|o| o.variable == outputs[k].variable).collect();
             Self::new(own, residuals)
-        })
+        };
+        let mut all: Vec<(Self, f64)> = (0..outputs.len()).filter(is_first).map(of).collect();
+        let error = ERROR_PER_TOLERANCE * layout.relative_tolerance;
+        // If all outputs are below their limits, they still differ in their errors.
+        let ratio = |(noise, size): &(Self, f64)| noise.variance / (error * error * size);
+        let largest = all.iter().map(ratio).filter(|ratio| ratio.is_finite()).fold(0.0, f64::max);
+        let limit = error * error * largest.min(1.0);
+        for (noise, size) in &mut all {
+            let rounding = *size * f64::EPSILON * f64::EPSILON;
+            let least = (limit * *size).max(rounding).max(f64::MIN_POSITIVE);
+            // The output that reduces all limits is at its own one, up to rounding.
+            noise.is_limited = noise.variance < least * (1.0 - 1e-9);
+            noise.variance = noise.variance.max(least);
+        }
+        all.into_iter().map(|(noise, _)| noise).collect()
     }
 
-    fn new(outputs: Vec<&'a OutputResiduals>, residuals: &[f64]) -> Self {
+    /// Returns the noise without a limit, and the mean square of the weighted measurements.
+    fn new(outputs: Vec<&'a OutputResiduals>, residuals: &[f64]) -> (Self, f64) {
         let (mut n, mut squares, mut measured) = (0, 0.0, 0.0);
         for output in &outputs {
             n += output.noisy_rows().count();
@@ -284,37 +312,58 @@ impl<'a> VariableNoise<'a> {
             let rows = output.measured.iter().zip(&output.weights);
             measured += rows.map(|(m, w)| (m * w) * (m * w)).sum::<f64>();
         }
+        let size = measured / f64::max(n as f64, 1.0);
         let n = f64::max(n as f64, f64::MIN_POSITIVE);
-        // The variance of an output that is reproduced to rounding is at least the variance of rounding.
-        // Otherwise the logarithm would be infinite.
-        let least = (measured * f64::EPSILON * f64::EPSILON).max(f64::MIN_POSITIVE);
-        Self { outputs, n, squares, variance: squares.max(least) / n }
+        (Self { outputs, n, squares, variance: squares / n, is_limited: false }, size)
     }
+
+    /// Returns the sum of the squares divided by the variance.
+    fn scaled_squares(&self) -> f64 {
+        if self.is_limited { self.squares / self.variance } else { self.n }
+    }
+
+    /// Returns the negative log-likelihood.
+    fn cost(&self) -> f64 {
+        0.5 * (self.n * self.variance.ln() + (self.scaled_squares() - self.n))
+    }
+}
+
+/// Returns the variance of each output in the [likelihood](NamedCost::Likelihood), and whether it is the
+/// limit of the accuracy of the simulation.
+pub(crate) fn likelihood_variances(layout: &ResidualLayout, residuals: &[f64]) -> Vec<(f64, bool)> {
+    let all = VariableNoise::all(layout, residuals);
+    let of = |output: &OutputResiduals| {
+        let own = all.iter().find(|noise| noise.outputs.iter().any(|o| o.variable == output.variable));
+        own.map_or((1.0, false), |noise| (noise.variance, noise.is_limited))
+    };
+    layout.outputs.iter().map(of).collect()
 }
 
 /// Returns residuals whose sum of squares is `N exp(2 L / N)` for the [likelihood](NamedCost::Likelihood) L
 /// and N residuals with noise.
 ///
-/// A sum of squares P of the priors adds P / 2 to L. With `H = N / (N + P) exp(2 L / N)`, the residuals of an
-/// output are multiplied with `sqrt(H / v_o)`, and those of the priors with `sqrt(H)`. The sum of squares is
-/// then H (N + P).
+/// Let T be the sum of `r_o' r_o / v_o` over all outputs, plus the squares of the priors: N without priors
+/// and limited variances. With `H = N / T exp(2 L / N)`, the residuals of an output are multiplied with
+/// `sqrt(H / v_o)`, and those of the priors with `sqrt(H)`. The sum of squares is then H T.
 pub(crate) fn reweighted_by_likelihood(layout: &ResidualLayout, residuals: &[f64]) -> Vec<f64> {
     let mut scaled = vec![0.0; residuals.len()];
     let of_priors = layout.n_measurements()..residuals.len();
     let squares_of_priors: f64 = residuals[of_priors.clone()].iter().map(|r| r * r).sum();
-    let noises: Vec<VariableNoise<'_>> = VariableNoise::all(layout, residuals).collect();
+    let noises = VariableNoise::all(layout, residuals);
     let n: f64 = noises.iter().map(|noise| noise.n).sum();
-    // A root of the factor H, whose square may overflow.
-    let logarithms: f64 = noises.iter().map(|noise| noise.n / n * noise.variance.ln()).sum();
-    let root = (0.5 * (logarithms + squares_of_priors / n)).exp() * (n / (n + squares_of_priors)).sqrt();
+    let cost = noises.iter().fold(0.5 * squares_of_priors, |sum, noise| sum + noise.cost());
+    let total = noises.iter().fold(squares_of_priors, |sum, noise| sum + noise.scaled_squares());
+    // Roots, because the squares may overflow.
+    let whole = (cost / n).exp();
+    let root = whole * (n / total).sqrt();
     for noise in &noises {
-        // At the limit of rounding, the variance is constant and the residuals have this size.
-        let factor = root * (noise.n / noise.squares).sqrt();
+        let factor = root * noise.variance.sqrt().recip();
         for row in noise.outputs.iter().flat_map(|output| output.noisy_rows()) {
-            scaled[row] = if factor.is_finite() { residuals[row] * factor } else { root };
+            // All residuals are zero if the total is.
+            scaled[row] = if total > 0.0 { residuals[row] * factor } else { whole };
         }
     }
-    of_priors.for_each(|k| scaled[k] = residuals[k] * root);
+    of_priors.for_each(|k| scaled[k] = residuals[k] * if total > 0.0 { root } else { 0.0 });
     scaled
 }
 
@@ -419,6 +468,19 @@ mod tests {
                 let ratio = squares(&exact) / expected(&exact);
                 assert!((ratio - 1.0).abs() < 1e-12, "{factor}: {ratio}");
             }
+        }
+        // The variance of an output is at least that of the error of the simulation.
+        let limited = ResidualLayout { relative_tolerance: 1e-4, ..with_priors.clone() };
+        for factor in [0.0, 1e-9, 1e-4, 1e-3, 1.0] {
+            let exact: Vec<f64> =
+                (0..9).map(|k| if (2..5).contains(&k) { r[k] * factor } else { r[k] }).collect();
+            let squares = reweighted_by_likelihood(&limited, &exact).iter().map(|r| r * r).sum::<f64>();
+            let expected = 7.0 * (2.0 * NamedCost::Likelihood.cost(&limited, &exact) / 7.0).exp();
+            assert!((squares / expected - 1.0).abs() < 1e-12, "{factor}");
+            let (variance, is_limited) = likelihood_variances(&limited, &exact)[1];
+            let least = 1e-6 * (4.0 * 5.0 / 3.0);
+            assert_eq!(is_limited, factor <= 1e-3);
+            assert!((variance / f64::max(least, factor * factor * 10.0 / 3.0) - 1.0).abs() < 1e-12);
         }
         // One output keeps its residuals.
         let one = ResidualLayout { outputs: plain.outputs[..1].to_vec(), ..ResidualLayout::default() };

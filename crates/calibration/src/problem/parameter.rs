@@ -2,6 +2,7 @@
 //! and the command line describe parameters by the fields of one serde type.
 
 use crate::error::CalibrationError;
+use crate::expression::Expression;
 use crate::problem::prior::Prior;
 use base::Number;
 pub use dfo::Transform as Scale;
@@ -46,7 +47,9 @@ pub struct Tie<'a> {
 /// let outlet = Parameter::new("outlet", 3e-6).variables(["qt.a1", "qt.a2"]).prior(Prior::LogNormal { median: 3e-6, sigma: 0.1 });
 /// let delay = Parameter::new("tau", 0.05).bounds(0.0, 1.0).delay_of("armJoint.phi");
 /// let other = Parameter::tied("qt.a3", "outlet", 0.5, 0.0);
-/// assert_eq!((outlet.name(), delay.name(), other.is_tied()), ("outlet", "tau", true));
+/// let last = Parameter::derived("qt.a4", "2e-6 - outlet / 2")?.bounds(0.0, 1e-6);
+/// assert_eq!((outlet.name(), delay.name(), other.is_derived()), ("outlet", "tau", true));
+/// # Ok::<(), calibration::CalibrationError>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -80,7 +83,7 @@ pub struct Parameter {
     pub(super) local: bool,
     /// Names of the experiments in which it acts; default: all.
     pub(super) experiments: Option<Vec<String>>,
-    /// Variables of the model to set.
+    /// Variables of the model to set; if empty, only formulas use the parameter.
     pub(super) variables: Option<Vec<String>>,
     /// The output or input that the parameter delays.
     pub(super) delay_of: Option<String>,
@@ -96,6 +99,8 @@ pub struct Parameter {
     pub(super) offset: f64,
     /// True if the factor has a unit.
     pub(super) across_units: bool,
+    /// Formula of a derived parameter over other parameters, such as `1 - k1 - k2`.
+    pub(super) expr: Option<Expression>,
     /// Unit of the values, if it differs from the unit of the variable.
     pub(super) unit: Option<String>,
     /// Name in reports and figures.
@@ -137,6 +142,7 @@ impl Default for Parameter {
             factor: 1.0,
             offset: 0.0,
             across_units: false,
+            expr: None,
             unit: None,
             display_name: None,
             prior: None,
@@ -199,6 +205,11 @@ impl Parameter {
                 return bad(format!("delay_of must be the name of an output or input, not {other}"));
             }
         }
+        if let Some(Value::Text(text)) = record.get("expr")
+            && let Err(error) = text.parse::<Expression>()
+        {
+            return bad(format!("expr: {error}"));
+        }
         let parameter = read_record::<Self>(record, "field of a parameter")?.normalised();
         parameter.check()?;
         Ok(parameter)
@@ -225,11 +236,37 @@ impl Parameter {
     }
 
     /// Creates a parameter whose value is `factor * p + offset`, where p is the value of the parameter `to`.
-    /// The parameter `to` must not itself be tied. A tied parameter is not an entry of the vectors of values;
-    /// the results list its value. If `to` is [local](Self::local), the tied parameter follows its value in
-    /// each experiment. Bounds, scale, prior and the other settings are taken from `to`.
+    /// A tied parameter is not an entry of the vectors of values; the results list its value. It is a
+    /// [derived](Self::derived) parameter with a linear formula. If `to` is [local](Self::local), the tied
+    /// parameter follows its value in each experiment. Bounds, scale, prior and the other settings are taken
+    /// from `to`.
     pub fn tied(name: impl Into<String>, to: impl Into<String>, factor: f64, offset: f64) -> Self {
         Self { name: name.into(), tied_to: Some(to.into()), factor, offset, ..Self::default() }
+    }
+
+    /// Creates a derived parameter, whose value follows from other parameters by a formula such as
+    /// `1 - k1 - k2`. It is not an entry of the vectors of values; the results list its value, with the
+    /// standard error that follows from theirs. Other derived parameters may occur in the formula. Values
+    /// outside its [bounds](Self::bounds) are failed evaluations. If the formula contains a
+    /// [local](Self::local) parameter, there is a value for each experiment.
+    ///
+    /// # Errors
+    /// Returns an error with the column of a mistake in the formula.
+    pub fn derived(name: impl Into<String>, expr: &str) -> Result<Self, CalibrationError> {
+        Self { name: name.into(), ..Self::default() }.expression(expr)
+    }
+
+    /// Makes the parameter a [derived](Self::derived) one, without a start value.
+    ///
+    /// # Errors
+    /// Returns an error with the column of a mistake in the formula.
+    pub fn expression(self, expr: &str) -> Result<Self, CalibrationError> {
+        match expr.parse() {
+            Ok(expr) => Ok(Self { expr: Some(expr), start: None, ..self }),
+            Err(error) => {
+                Err(CalibrationError::Parameter { name: self.name, message: format!("expr: {error}") })
+            }
+        }
     }
 
     /// Declares that the factor of a [tied](Self::tied) parameter has a unit. Without it, both parameters
@@ -241,7 +278,8 @@ impl Parameter {
     }
 
     /// Sets the variables of the model that the parameter sets, all to the same value. The name of the
-    /// parameter can then be chosen freely.
+    /// parameter can then be chosen freely. Without variables, the parameter only acts through the formulas
+    /// of [derived](Self::derived) parameters, and a derived parameter is only a result.
     #[must_use]
     pub fn variables<N: Into<String>>(self, names: impl IntoIterator<Item = N>) -> Self {
         let variables = Some(names.into_iter().map(Into::into).collect());
@@ -318,8 +356,8 @@ impl Parameter {
     }
 
     /// Sets the kind of values: continuous (the default), integers, or integers that represent choices. Not
-    /// every method supports the last two: [`dfo::DifferentialEvolution`] supports integers, [`dfo::Genetic`]
-    /// both.
+    /// every method supports the last two: [`dfo::CmaEs`] and [`dfo::DifferentialEvolution`] support
+    /// integers, [`dfo::Genetic`] both.
     #[must_use]
     pub fn kind(mut self, kind: ParameterKind) -> Self {
         self.kind = kind;
@@ -408,6 +446,19 @@ impl Parameter {
         (!names.is_empty()).then(|| Self { experiments: Some(names), ..self.clone() })
     }
 
+    /// Returns the parameter without its target, for a problem in which only formulas use it.
+    pub(crate) fn without_target(&self) -> Self {
+        let variables = Some(Vec::new());
+        Self {
+            experiments: None,
+            variables,
+            delay_of: None,
+            offset_of: None,
+            factor_of: None,
+            ..self.clone()
+        }
+    }
+
     /// True if the parameter acts in the experiment with this name.
     pub(crate) fn acts_in(&self, experiment: &str) -> bool {
         self.experiments.as_ref().is_none_or(|names| names.iter().any(|name| name == experiment))
@@ -426,7 +477,9 @@ impl Parameter {
 
     /// Returns the part that costs depend on, without the settings of the search and the display.
     pub(crate) fn without_search(&self) -> Self {
-        let (lower, upper) = if self.periodic { (self.lower, self.upper) } else { (None, None) };
+        // A derived value outside its bounds is a failure.
+        let has_effect = self.periodic || self.expr.is_some();
+        let (lower, upper) = if has_effect { (self.lower, self.upper) } else { (None, None) };
         Self {
             start: None,
             lower,
@@ -518,9 +571,15 @@ impl Parameter {
         self.tied_to.as_deref().map(|to| Tie { to, factor, offset, across_units })
     }
 
-    /// True if the parameter is tied to another one. It is then not an entry of the vectors of values.
-    pub fn is_tied(&self) -> bool {
-        self.tied_to.is_some()
+    /// True if the value follows from other parameters. It is then not an entry of the vectors of values.
+    pub fn is_derived(&self) -> bool {
+        self.tied_to.is_some() || self.expr.is_some()
+    }
+
+    /// Returns the formula of a derived parameter, also of a tied one.
+    pub fn derivation(&self) -> Option<Expression> {
+        let of_tie = || self.tie().map(|tie| Expression::affine(tie.to, tie.factor, tie.offset));
+        self.expr.clone().or_else(of_tie)
     }
 
     /// True if the parameter has a separate value in each experiment.
@@ -528,7 +587,7 @@ impl Parameter {
         self.local
     }
 
-    /// Returns the start value of the fit; 0 for a tied parameter.
+    /// Returns the start value of the fit; 0 for a derived parameter.
     pub fn start(&self) -> f64 {
         self.start.unwrap_or(0.0)
     }
@@ -602,6 +661,7 @@ mod tests {
             p(0.5).bounds(0.0, 1.0).delay_of("y").display_name("lag"),
             p(1.0).variables(["k"]).kind(ParameterKind::Integer).fixed(true),
             Parameter::tied("k", "c", 2.0, -1.0).offset_of("u").across_units(true),
+            Parameter::derived("k", "1 - c").unwrap().bounds(0.0, f64::INFINITY).in_unit("mm"),
         ] {
             let json = serde_json::to_string(&parameter).unwrap();
             assert_eq!(serde_json::from_str::<Parameter>(&json).unwrap(), parameter, "{json}");

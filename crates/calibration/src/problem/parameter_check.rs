@@ -1,6 +1,7 @@
 //! Checks of the numbers of a parameter.
 
 use crate::error::CalibrationError;
+use crate::expression::Expression;
 use crate::problem::parameter::{Parameter, Scale, Target, Tie};
 use crate::problem::prior::Prior;
 use base::Number;
@@ -17,11 +18,6 @@ impl Parameter {
         if name.is_empty() {
             return bad("a parameter needs a name".to_owned());
         }
-        if self.variables.as_ref().is_some_and(Vec::is_empty) {
-            return bad(
-                "variables is empty. Specify the variables that it sets, or omit variables".to_owned()
-            );
-        }
         let n_targets = [
             self.variables.is_some(),
             self.delay_of.is_some(),
@@ -37,8 +33,11 @@ impl Parameter {
         if let (Target::Factor(_), Some(unit)) = (self.target(), &self.unit) {
             return bad(format!("is a factor, which has no unit, but unit is '{unit}'. Omit unit"));
         }
-        if let Some(tie) = self.tie() {
-            return self.check_tie(tie);
+        match (self.tie(), &self.expr) {
+            (Some(_), Some(_)) => return bad("has tied_to and expr. Specify one of them".to_owned()),
+            (Some(tie), None) => return self.check_tie(tie),
+            (None, Some(expr)) => return self.check_derived(expr),
+            (None, None) => {}
         }
         if (self.factor, self.offset, self.across_units) != (1.0, 0.0, false) {
             return bad(
@@ -47,7 +46,7 @@ impl Parameter {
             );
         }
         let Some(start) = self.start else {
-            return bad("start is missing. Specify a start value".to_owned());
+            return bad("start is missing. Specify a start value, or expr for a derived parameter".to_owned());
         };
         let (lower, upper) = self.given_bounds();
         let [first, low, high] = [start, lower, upper].map(Number);
@@ -132,6 +131,45 @@ impl Parameter {
         Ok(())
     }
 
+    fn check_derived(&self, expr: &Expression) -> Result<(), CalibrationError> {
+        let name = &self.name;
+        let bad = |message: String| Err(CalibrationError::Parameter { name: name.clone(), message });
+        if self.start.is_some() {
+            return bad(format!("its value follows from expr, '{expr}'. Omit start"));
+        }
+        if expr.names().is_empty() {
+            return bad(format!("expr '{expr}' contains no parameter. Use a start with fixed = true"));
+        }
+        let (lower, upper) = self.given_bounds();
+        let [low, high] = [lower, upper].map(Number);
+        if lower.is_nan() || upper.is_nan() {
+            return bad(format!("bounds {low} and {high} must not be NaN"));
+        }
+        if lower > upper {
+            return bad(format!("lower bound {low} is above upper bound {high}"));
+        }
+        let (own_lower, own_upper) = (self.lower, self.upper);
+        let display_name = self.display_name.clone();
+        let searched = Self { periodic: false, ..self.without_search() };
+        let bare = Self {
+            display_name,
+            lower: own_lower,
+            upper: own_upper,
+            prior: None,
+            factor: 1.0,
+            offset: 0.0,
+            across_units: false,
+            ..searched
+        };
+        if *self != bare {
+            return bad(format!(
+                "its value follows from expr, '{expr}', so scale, nominal, kind, fixed, periodic, local, prior, factor, offset and \
+                 across_units have no meaning. Omit them"
+            ));
+        }
+        Ok(())
+    }
+
     fn check_tie(&self, Tie { to, factor, offset, .. }: Tie<'_>) -> Result<(), CalibrationError> {
         let name = &self.name;
         let bad = |message: String| Err(CalibrationError::Parameter { name: name.clone(), message });
@@ -195,11 +233,15 @@ mod tests {
                 "the median of its prior, 0.1, is outside",
             ),
             (p(0.5, f64::NEG_INFINITY, 1.0).delay_of("y"), "a delay requires a finite lower bound"),
-            (p(0.5, 0.0, 1.0).variables([""; 0]), "variables is empty"),
             (Parameter::tied("k", "c", 0.0, 1.0), "factor 0 and offset 1"),
             (Parameter::tied("k", "c", 1.0, f64::INFINITY), "offset inf"),
             (Parameter::tied("k", "c", 1.0, 0.0).bounds(0.0, 1.0), "which determines start"),
             (Parameter::tied("k", "c", 1.0, 0.0).local(true), "Omit them here"),
+            (Parameter::derived("k", "2*3").unwrap(), "contains no parameter"),
+            (Parameter::derived("k", "c").unwrap().bounds(2.0, 1.0), "lower bound 2 is above upper bound 1"),
+            (Parameter::derived("k", "c").unwrap().fixed(true), "so scale, nominal, kind, fixed"),
+            (Parameter::derived("k", "c").unwrap().scale(Scale::Log), "so scale, nominal, kind, fixed"),
+            (Parameter::tied("k", "c", 1.0, 0.0).expression("c").unwrap(), "has tied_to and expr"),
         ] {
             let e = parameter.check().unwrap_err().to_string();
             assert!(e.contains("'k'") && e.contains(expected), "{e}");

@@ -12,6 +12,10 @@ pub struct ResidualLayout {
     pub outputs: Vec<OutputResiduals>,
     /// Residuals of the priors, which follow the residuals of the measurements.
     pub priors: Vec<PriorResidual>,
+    /// Relative tolerance of the simulations, which limits the [likelihood](crate::NamedCost::Likelihood).
+    /// Zero if it is not known.
+    #[serde(default)]
+    pub relative_tolerance: f64,
 }
 
 /// Residuals of one output of one experiment: `weight (simulated - measured)`.

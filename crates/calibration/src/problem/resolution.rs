@@ -176,10 +176,10 @@ pub(crate) fn check_names(
             ));
         }
         if let InitialState::Fitted(parameter) = initial
-            && (parameter.is_tied() || parameter.variable_names().is_empty())
+            && (parameter.is_derived() || parameter.variable_names().is_empty())
         {
             return setup(format!(
-                "initial state '{state}' is fitted by a parameter that is tied, a delay or an offset. Use one with a start and bounds"
+                "initial state '{state}' is fitted by a parameter that is derived, a delay or an offset. Use one with a start and bounds"
             ));
         }
     }

@@ -1,6 +1,6 @@
 //! Warnings about a setup that can be evaluated but may not be intended.
 
-use crate::data::{ClockChange, MOST_LISTED, UnitError, listed, parts};
+use crate::data::{ClockChange, MOST_LISTED, TimeUnit, UnitError, listed, parts};
 use crate::findings::finding::{Finding, Severity};
 use crate::findings::identifier::FindingId;
 use crate::problem::experiment::{Experiment, Weight};
@@ -73,6 +73,13 @@ pub enum SetupWarning {
         time: f64,
         /// Unit of the time.
         time_unit: String,
+    },
+    /// The settings state another time unit than the model.
+    TimeUnit {
+        /// Unit in the settings.
+        given: String,
+        /// Unit of the model.
+        stated: String,
     },
     /// A setting is ignored; the sentence gives the setting and the reason.
     NoEffect(String),
@@ -158,6 +165,15 @@ impl SetupWarning {
                 ),
                 "Remove the rows unless they are separate measurements".to_owned(),
             ),
+            Self::TimeUnit { given, stated } => finding(
+                FindingId::ContradictedTimeUnit,
+                "time_unit",
+                format!(
+                    "time_unit is '{given}', but the model states the time unit '{stated}'. Recorded times and delays are converted to \
+                     {given}, and the units of other variables stay as the model states them"
+                ),
+                "Remove time_unit, unless the model states the wrong unit".to_owned(),
+            ),
             Self::NoEffect(sentence) => {
                 finding(FindingId::SettingWithoutEffect, "", sentence.clone(), String::new())
             }
@@ -227,6 +243,17 @@ pub(crate) fn duplicate_rows(experiment: &Experiment) -> Option<SetupWarning> {
 pub(crate) fn clock_change(experiment: &Experiment) -> Option<SetupWarning> {
     let (data, change) = (&experiment.data, experiment.data.clock_change()?.clone());
     Some(SetupWarning::ClockChange { data: data.source().to_owned(), change })
+}
+
+/// Returns a warning if the time unit in the settings has another length than the one that the model states.
+/// A stated unit that is not a unit of time does not contradict.
+pub(crate) fn other_time_unit(given: Option<&str>, description: &ModelDescription) -> Option<SetupWarning> {
+    let mut independent = description.variables.iter().filter(|v| v.causality == Causality::Independent);
+    let stated = independent.next()?.unit.as_deref().map(str::trim)?;
+    let length = |name: &str| TimeUnit::named(name, description).length;
+    let (given, (n, d), (own_n, own_d)) = (given?, length(given?)?, length(stated)?);
+    let (given, stated) = (given.to_owned(), stated.to_owned());
+    (n * own_d != own_n * d).then_some(SetupWarning::TimeUnit { given, stated })
 }
 
 /// Returns warnings about nominal values that are unused on a logarithmic scale.

@@ -46,6 +46,9 @@ pub struct OutputCurves {
     pub measured: Signal,
     /// Simulated values at the fitted parameters minus measurements, without weights, at the same times.
     pub residuals: Vec<f64>,
+    /// Standard deviations of the noise of these measurements if it is known
+    /// ([`Weight::Sigma`](crate::Weight::Sigma)), in the unit of the variable.
+    pub sigma: Option<Vec<f64>>,
     /// Response at the start of the fit; `None` if the simulation fails there.
     pub start: Option<Signal>,
     /// Response at the fitted values.
@@ -64,6 +67,13 @@ pub struct Signal {
     pub times: Vec<f64>,
     /// Values.
     pub values: Vec<f64>,
+}
+
+/// Returns the standard deviations of an output with known noise. Measurements of weight zero have an
+/// infinite one.
+pub(super) fn known_sigma(series: &OutputResiduals) -> Option<Vec<f64>> {
+    let is_known = series.is_noise_known && !series.is_log;
+    is_known.then(|| series.weights.iter().map(|weight| 1.0 / weight).collect())
 }
 
 /// Draws columns over their times, in s, as SVG with one panel per column, labelled by its name. Returns
@@ -122,6 +132,7 @@ impl Calibration {
                 OutputCurves {
                     measured: signal(&series.times, &series.measured_values()),
                     residuals: series.differences(&residuals),
+                    sigma: known_sigma(series),
                     start: curve(&at_start),
                     fitted: curve(&at_end),
                 }

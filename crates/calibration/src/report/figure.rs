@@ -52,6 +52,8 @@ pub(super) type Point = (f64, f64);
 pub(super) enum Series {
     /// Single marks of measurements or evaluations.
     Measured(Vec<Point>),
+    /// Vertical bars of the uncertainty of measurements, each from one point to the next.
+    Bars(Vec<Point>),
     /// Single marks that belong to the fitted values.
     Marks(Vec<Point>),
     /// A line of an input of the model.
@@ -77,6 +79,7 @@ impl Series {
     fn points(&self) -> &[Point] {
         match self {
             Self::Measured(points)
+            | Self::Bars(points)
             | Self::Marks(points)
             | Self::Input(points)
             | Self::Start(points)
@@ -177,6 +180,13 @@ fn draw_series(chart: &mut Chart<'_, '_>, series: &Series, y: &Range<f64>) -> Dr
             let colour = if matches!(series, Series::Marks(_)) { FITTED } else { MEASURED };
             let marks = sampled(points).into_iter();
             chart.draw_series(marks.map(|point| Circle::new(point, 2 * FINE, colour.filled())))?;
+        }
+        Series::Bars(points) => {
+            let is_drawable = |bar: &&[Point]| bar.iter().all(|(x, y)| x.is_finite() && y.abs() < 1e200);
+            let bars: Vec<&[Point]> = points.chunks_exact(2).filter(is_drawable).collect();
+            for bar in bars.iter().step_by(bars.len().div_ceil(MOST).max(1)) {
+                chart.draw_series(LineSeries::new(bar.iter().copied(), MEASURED.stroke_width(FINE)))?;
+            }
         }
         Series::Input(points) => {
             chart.draw_series(LineSeries::new(thinned(points), line(MEASURED)))?;

@@ -1,6 +1,6 @@
 //! Page of a running fit: the figures of the report, drawn from the results of the search.
 
-use super::curves::{ExperimentCurves, OutputCurves, Signal};
+use super::curves::{ExperimentCurves, OutputCurves, Signal, known_sigma};
 use super::number::rounded;
 use super::page::{Figure, cost_figure, output_figures};
 use super::template;
@@ -198,6 +198,7 @@ impl LiveSubject {
             let curves = OutputCurves {
                 measured: signal(output.measured_values()),
                 residuals: found.at_best.get(output.range.clone()).unwrap_or_default().to_vec(),
+                sigma: known_sigma(output),
                 start: found.at_start.as_deref().map(simulated),
                 fitted: Some(simulated(&found.at_best)),
             };

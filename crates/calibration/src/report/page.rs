@@ -116,16 +116,22 @@ fn input_figure(experiment: &ExperimentCurves, are_several: bool) -> Option<Figu
 /// caption contains `without_start` if there is no simulation at the start.
 pub(super) fn output_figures(experiments: &[ExperimentCurves], without_start: &str) -> Vec<Figure> {
     let figure = |experiment: &ExperimentCurves, output: &OutputCurves| {
-        let OutputCurves { measured, residuals, start, fitted } = output;
+        let OutputCurves { measured, residuals, sigma, start, fitted } = output;
         let unit = measured.unit.as_ref().map_or_else(String::new, |unit| format!(" in {unit}"));
         let points = |times: &[f64], values: &[f64]| -> Vec<Point> {
             times.iter().copied().zip(values.iter().copied()).collect()
         };
         let curve = |signal: &Signal| points(&signal.times, &signal.values);
-        let mut upper = vec![Series::Measured(curve(measured))];
+        let bars = |values: &[f64]| -> Option<Series> {
+            let rows = measured.times.iter().zip(values).zip(sigma.as_ref()?);
+            Some(Series::Bars(rows.flat_map(|((t, y), sigma)| [(*t, y - sigma), (*t, y + sigma)]).collect()))
+        };
+        let mut upper: Vec<Series> = bars(&measured.values).into_iter().collect();
+        upper.push(Series::Measured(curve(measured)));
         upper.extend(start.as_ref().map(|signal| Series::Start(curve(signal))));
         upper.extend(fitted.as_ref().map(|signal| Series::Fitted(curve(signal))));
-        let lower = vec![Series::Marks(points(&measured.times, residuals))];
+        let mut lower: Vec<Series> = bars(residuals).into_iter().collect();
+        lower.push(Series::Marks(points(&measured.times, residuals)));
         let panel = |height, y_label, series, has_zero| Panel {
             height,
             y_label,
@@ -142,7 +148,8 @@ pub(super) fn output_figures(experiments: &[ExperimentCurves], without_start: &s
             _ => format!("{}: {}", experiment.name, measured.variable),
         };
         let remark = if start.is_none() { without_start } else { "" };
-        let caption = format!("{remark}{}", figure::note(measured.times.len()));
+        let of_bars = if sigma.is_some() { "Bars: one known standard deviation (sigma). " } else { "" };
+        let caption = format!("{remark}{of_bars}{}", figure::note(measured.times.len()));
         Figure { title, caption, svg: figure::draw(&panels, &time_axis(experiment)) }
     };
     experiments.iter().flat_map(|e| e.outputs.iter().map(move |output| figure(e, output))).collect()

@@ -2,10 +2,11 @@
 
 use super::number::{rounded, with_error};
 use crate::findings::display_text::digits;
-use crate::findings::finding::{Finding, counts};
+use crate::findings::finding::{Finding, counts, merged};
 use crate::fit::one_stage::Fit;
 use crate::fit::phase::PhaseCost;
 use crate::problem::objective::CostKind;
+use crate::uncertainty::derived_value::DerivedValue;
 use crate::uncertainty::inactive_parameters::BoundSide;
 use crate::uncertainty::result::{KNOWN_NOISE, Uncertainty};
 use base::Number;
@@ -101,8 +102,11 @@ impl Summary {
             title: format!("Fit of {}", fit.model),
             is_success: fit.is_success(),
             sentence: sentence(fit),
-            findings: fit.findings_with(fit.shown_names()),
-            parameters: (0..fit.x.len()).map(|i| parameter(fit, i)).collect(),
+            findings: merged(&fit.findings_with(fit.shown_names())),
+            parameters: (0..fit.x.len())
+                .map(|i| parameter(fit, i))
+                .chain(fit.derived.iter().map(|value| derived(fit, value)))
+                .collect(),
             outputs: outputs(fit),
             has_errors: uncertainty.is_some(),
             has_uncorrected_errors: uncertainty
@@ -280,6 +284,40 @@ fn parameter(fit: &Fit, i: usize) -> ParameterRow {
     }
 }
 
+/// Returns the row of a derived parameter.
+fn derived(fit: &Fit, derived: &DerivedValue) -> ParameterRow {
+    let uncertainty = fit.uncertainty.as_ref();
+    // Unreliable standard errors are not printed.
+    let reliable = uncertainty.filter(|uncertainty| uncertainty.roughness.is_none());
+    let error = reliable.map_or(f64::NAN, |uncertainty| derived.standard_error(uncertainty));
+    let is_usable = |error: f64| error.is_finite() && error > 0.0;
+    let shown = |error: f64| match error {
+        error if is_usable(error) => rounded(error, 2),
+        f64::INFINITY => "not determined".to_owned(),
+        _ => "none".to_owned(),
+    };
+    let interval = reliable.filter(|_| is_usable(error));
+    let interval = interval.and_then(|uncertainty| derived.confidence_interval(uncertainty, LEVEL));
+    let (lower, upper) = derived.bounds;
+    ParameterRow {
+        name: derived.shown_name.clone(),
+        start: rounded(derived.start, DIGITS),
+        value: with_error(derived.value, error),
+        error: uncertainty.map_or_else(String::new, |_| shown(error)),
+        uncorrected_error: reliable
+            .and_then(|uncertainty| derived.uncorrected_error(uncertainty))
+            .filter(|error| is_usable(*error) || error.is_infinite())
+            .map_or_else(String::new, shown),
+        interval: interval.map(|(lower, upper)| [lower, upper].map(|end| with_error(end, error))),
+        unit: derived.unit.clone().unwrap_or_default(),
+        bounds: [lower, upper].map(|bound| Number(bound).to_string()),
+        remark: match &derived.tied_to {
+            Some(_) => format!("tied: {}", derived.expression),
+            None => format!("derived: {}", derived.expression),
+        },
+    }
+}
+
 fn outputs(fit: &Fit) -> Vec<OutputRow> {
     let row = |output: &crate::fit::output_fit::OutputFit| OutputRow {
         experiment: output.experiment.clone(),
@@ -307,10 +345,6 @@ fn facts(fit: &Fit) -> Vec<Fact> {
     facts.extend(report.method_reason.iter().map(|reason| ("chosen", reason.clone())));
     facts.extend(fit.stages.iter().map(|stage| ("stage", stage.report.message.clone())));
     facts.push(("cost", format!("{}{before}, RMS {}", rounded(fit.cost, DIGITS), rounded(fit.rms, DIGITS))));
-    if !fit.tied.is_empty() {
-        let value = |(name, value): &(String, f64)| format!("{name} = {}", rounded(*value, DIGITS));
-        facts.push(("tied", fit.tied.iter().map(value).collect::<Vec<_>>().join(", ")));
-    }
     if fit.objective != CostKind::SumOfSquares.name() {
         facts.push(("objective", fit.objective.clone()));
     }
@@ -375,5 +409,9 @@ fn errors(fit: &Fit) -> String {
         .uncorrected_covariance
         .as_ref()
         .map_or("", |_| ", corrected for autocorrelated residuals");
-    format!("{}{corrected}; {} simulations", uncertainty.estimator, uncertainty.n_simulations)
+    let active = match &uncertainty.active_constraints[..] {
+        [] => String::new(),
+        active => format!(", conditional on the active constraints '{}'", active.join("', '")),
+    };
+    format!("{}{corrected}{active}; {} simulations", uncertainty.estimator, uncertainty.n_simulations)
 }

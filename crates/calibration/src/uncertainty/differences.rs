@@ -75,6 +75,12 @@ pub(crate) struct Center<'a> {
     pub(crate) measured: f64,
     /// Norm of the difference from accurate simulations; 0 if there is none.
     pub(crate) simulation_error: f64,
+    /// Directions that the active constraints leave, p x q, in the coordinates of the search; `None` if no
+    /// constraint is active.
+    pub(crate) basis: Option<DMatrix<f64>>,
+    /// Inactive constraints: their derivatives with respect to the coordinates, and the distances from the
+    /// lower and the upper limit.
+    pub(crate) inactive: Vec<(DVector<f64>, (f64, f64))>,
 }
 
 /// Differences around a point. Over the step `B z` in the coordinates of the search, the residuals change by
@@ -82,7 +88,7 @@ pub(crate) struct Center<'a> {
 pub(crate) struct Differences {
     /// E, m x p.
     pub(crate) changes: DMatrix<f64>,
-    /// B, p x p: one step per column.
+    /// B, p x q: one step per column. There are fewer columns than parameters if constraints are active.
     pub(crate) steps: DMatrix<f64>,
     /// Norm below which a combination of the changes is noise.
     pub(crate) noise: f64,
@@ -116,6 +122,11 @@ impl Center<'_> {
     fn bounds(&self, k: usize) -> (f64, f64) {
         let p = &self.parameters[self.free[k]];
         (inner(p, p.search_lower()), inner(p, p.search_upper()))
+    }
+
+    /// Returns the number of independent directions.
+    pub(crate) fn n_directions(&self) -> usize {
+        self.basis.as_ref().map_or(self.free.len(), DMatrix::ncols)
     }
 
     fn coordinate(&self, k: usize) -> f64 {
@@ -160,6 +171,14 @@ impl Center<'_> {
             let (against, along) = if *d > 0.0 { (down, up) } else { (up, down) };
             (backward, forward) = (backward.min(against), forward.min(along));
         }
+        for (gradient, (below, above)) in &self.inactive {
+            let slope = gradient.dot(&step.direction);
+            if slope != 0.0 {
+                let (down, up) = (below / slope.abs(), above / slope.abs());
+                let (against, along) = if slope > 0.0 { (down, up) } else { (up, down) };
+                (backward, forward) = (backward.min(against), forward.min(along));
+            }
+        }
         (backward, forward)
     }
 
@@ -191,11 +210,21 @@ impl Center<'_> {
         self.axes(|k| steps.iter().map(|step| part(step, k)).fold(f64::MIN_POSITIVE, f64::max))
     }
 
-    fn axes(&self, lengths: impl Fn(usize) -> f64) -> Vec<Step> {
+    /// Returns steps along the axes of the parameters, or along the directions that the active constraints
+    /// leave.
+    fn axes(&self, lengths_of: impl Fn(usize) -> f64) -> Vec<Step> {
+        if let Some(basis) = &self.basis {
+            let of_column = |direction: DVector<f64>| {
+                let lengths = direction.iter().enumerate().filter(|(_, d)| **d != 0.0);
+                let length = lengths.map(|(k, d)| lengths_of(k) / d.abs()).fold(f64::INFINITY, f64::min);
+                Step { direction, length }
+            };
+            return basis.column_iter().map(|column| of_column(column.into_owned())).collect();
+        }
         let p = self.free.len();
         let axis = |k: usize| {
             let direction = DVector::from_fn(p, |i, _| f64::from(u8::from(i == k)));
-            Step { direction, length: lengths(k) }
+            Step { direction, length: lengths_of(k) }
         };
         (0..p).map(axis).collect()
     }
@@ -215,12 +244,12 @@ impl Differences {
         jacobian: Option<DMatrix<f64>>,
         simulations: &mut Simulations<'_>,
     ) -> Result<Result<Self, String>, CalibrationError> {
-        let (m, p) = (center.residuals.len(), center.free.len());
+        let (m, p) = (center.residuals.len(), center.n_directions());
         let deviation = center.residuals.iter().map(|r| r * r).sum::<f64>().sqrt()
             / (m.saturating_sub(p).max(1) as f64).sqrt();
         let noise = center.simulation_error.max(ROUNDING * center.measured);
         if p == 0 {
-            return Ok(Ok(Self::of(DMatrix::zeros(m, 0), DMatrix::zeros(0, 0), noise)));
+            return Ok(Ok(Self::of(DMatrix::zeros(m, 0), DMatrix::zeros(center.free.len(), 0), noise)));
         }
         let first = || {
             center.axes(|k| match center.is_log(k) {
@@ -452,11 +481,16 @@ impl Differences {
     /// Returns the Jacobian with respect to the coordinates of the search, m x p.
     pub(crate) fn jacobian(&self, context: &RunContext<'_>) -> Result<DMatrix<f64>, CalibrationError> {
         if self.steps.is_empty() {
-            return Ok(self.changes.clone());
+            return Ok(DMatrix::zeros(self.changes.nrows(), self.steps.nrows()));
         }
-        match self.steps.clone().try_inverse() {
+        let inverse = match self.steps.is_square() {
+            true => self.steps.clone().try_inverse(),
+            // Changes across the active constraints are unknown; they count as zero.
+            false => self.steps.clone().pseudo_inverse(f64::EPSILON * self.steps.norm()).ok(),
+        };
+        match inverse {
             Some(inverse) => product(&self.changes, &inverse, context),
-            None => Ok(DMatrix::zeros(self.changes.nrows(), self.steps.ncols())),
+            None => Ok(DMatrix::zeros(self.changes.nrows(), self.steps.nrows())),
         }
     }
 }
@@ -481,10 +515,18 @@ fn principal_steps(
     noise: f64,
     context: &RunContext<'_>,
 ) -> Result<Vec<Step>, CalibrationError> {
-    let p = center.free.len();
+    let p = center.n_directions();
     let references = center.references(jacobian, deviation);
     let mut triangle = triangle(jacobian, std::slice::from_ref(&(0..jacobian.nrows())), context)?;
     triangle.column_iter_mut().zip(&references).for_each(|(mut column, size)| column *= *size);
+    let within = center.basis.as_ref().map(|basis| {
+        let mut scaled = basis.clone();
+        scaled.row_iter_mut().zip(&references).for_each(|(mut row, size)| row /= *size);
+        scaled.qr().q()
+    });
+    if let Some(within) = &within {
+        triangle *= within;
+    }
     let rows = triangle.nrows().max(p);
     let svd = triangle.resize_vertically(rows, 0.0).try_svd(false, true, f64::EPSILON, 10_000);
     let axes = svd.and_then(|svd| Some((svd.v_t?, svd.singular_values)));
@@ -492,6 +534,7 @@ fn principal_steps(
     Ok((0..p)
         .map(|i| {
             let axis = v_t.row(i).transpose();
+            let axis = within.as_ref().map_or_else(|| axis.clone(), |within| within * &axis);
             let largest = axis.amax().max(f64::MIN_POSITIVE);
             let error = (deviation / values[i]).min(USUAL / largest).max(SHORTEST * USUAL / largest);
             let length = error.max(ABOVE_NOISE * noise / values[i]).min(LONGEST / largest);

@@ -75,6 +75,42 @@ impl CenterResiduals {
     }
 }
 
+/// Directions that the constraints leave at a point.
+#[derive(Default)]
+struct ConstrainedDirections {
+    /// As in [`Center`].
+    basis: Option<DMatrix<f64>>,
+    inactive: Vec<(DVector<f64>, (f64, f64))>,
+    /// Texts of the active constraints.
+    active: Vec<String>,
+}
+
+/// Returns an orthonormal basis of the vectors that are orthogonal to all rows, n x q.
+fn null_space(rows: &[DVector<f64>], n: usize) -> DMatrix<f64> {
+    let mut range: Vec<DVector<f64>> = Vec::new();
+    let mut basis: Vec<DVector<f64>> = Vec::new();
+    // Gram and Schmidt, twice, first over the rows and then over the axes.
+    for row in rows {
+        range.extend(orthogonal(row.clone(), &range));
+    }
+    for k in 0..n {
+        let axis = DVector::from_fn(n, |i, _| f64::from(u8::from(i == k)));
+        let all: Vec<DVector<f64>> = range.iter().chain(&basis).cloned().collect();
+        basis.extend(orthogonal(axis, &all));
+    }
+    if basis.is_empty() { DMatrix::zeros(n, 0) } else { DMatrix::from_columns(&basis) }
+}
+
+/// Returns the normalised part of a vector outside the others; `None` if it depends on them.
+fn orthogonal(mut vector: DVector<f64>, others: &[DVector<f64>]) -> Option<DVector<f64>> {
+    let length = vector.norm();
+    for _ in 0..2 {
+        others.iter().for_each(|other| vector.axpy(-other.dot(&vector), other, 1.0));
+    }
+    let rest = vector.norm();
+    (rest > 1e-9 * length).then(|| vector / rest)
+}
+
 /// Inputs of the covariance estimate of the free parameters among `n`.
 struct Estimate<'a> {
     n: usize,
@@ -230,7 +266,8 @@ impl Calibration {
         simulations: &mut Simulations<'_>,
     ) -> Result<(Uncertainty, Vec<f64>), CalibrationError> {
         let (parameters, layout, before) = (self.parameters(), self.residual_layout(), simulations.n);
-        let (held, free) = self.held_and_free(x, evaluated_point);
+        let (mut held, mut free) = self.held_and_free(x, evaluated_point);
+        let constrained = self.directions(x, &mut held, &mut free);
         let at_center = self.residuals_at_center(x, evaluated_point, simulations)?;
         let (residuals, accurate) = (&at_center.residuals, &at_center.accurate);
         let sizes: Vec<f64> = free.iter().map(|&i| self.size_of(&parameters[i], x[i])).collect();
@@ -242,6 +279,8 @@ impl Calibration {
             residuals,
             measured: layout.size_of_measurements(),
             simulation_error: at_center.simulation_error,
+            basis: constrained.basis,
+            inactive: constrained.inactive,
         };
         let per_unit: Vec<f64> = free.iter().map(|&i| slope(&parameters[i], x[i])).collect();
         let context = &simulations.context.clone();
@@ -258,7 +297,8 @@ impl Calibration {
         let starts = self.measured_starts(x);
         let groups =
             groups(layout, residuals, estimator, evaluated_point.criterion, evaluated_point.is_noise_known);
-        let working = Working::new(evaluated_point.criterion, residuals, &groups, free.len());
+        let working =
+            Working::new(evaluated_point.criterion, layout, residuals, &groups, center.n_directions());
         let differences = differences.weighted(&working.roots);
         let factors = &Factors::new(&differences, context)?;
         let starts = self.find_changes_by_starts(starts, x, residuals, simulations)?;
@@ -320,7 +360,14 @@ impl Calibration {
         if let Some(steps) = at_center.steps_by_accuracy(&working, factors, context)? {
             uncertainty.note_shift(&free, &steps);
         }
-        uncertainty.find_combinations(&jacobian, &differences, noise, &free, &sizes, context)?;
+        uncertainty.active_constraints = constrained.active;
+        // The correlations along an active constraint do not come from the measurements.
+        if center.basis.is_none() {
+            uncertainty.find_combinations(&jacobian, &differences, noise, &free, &sizes, context)?;
+        } else {
+            let is_determined = |i: &usize| !uncertainty.undetermined.contains(i);
+            uncertainty.identifiable = free.iter().copied().filter(is_determined).collect();
+        }
         uncertainty.n_simulations = simulations.n - before;
         uncertainty.findings = uncertainty.all_findings(evaluated_point.f_tol);
         Ok((uncertainty, covariances.curvature))
@@ -369,6 +416,47 @@ impl Calibration {
             evaluated_point.held.contains(i) || is_fixed || is_at_bound
         };
         (0..x.len()).partition(is_held)
+    }
+
+    /// Returns the directions that the active constraints leave at a point. Free parameters that the
+    /// constraints fix become held.
+    fn directions(&self, x: &[f64], held: &mut Vec<usize>, free: &mut Vec<usize>) -> ConstrainedDirections {
+        let parameters = self.parameters();
+        let sizes: Vec<f64> = parameters.iter().zip(x).map(|(p, x)| self.size_of(p, *x)).collect();
+        let in_units: Vec<f64> = (0..x.len()).map(|i| sizes[i] * slope(&parameters[i], x[i])).collect();
+        let nearby = self.constraints().around(x, &in_units);
+        let mut found = ConstrainedDirections::default();
+        let over = |free: &[usize], gradient: &[f64]| {
+            DVector::from_iterator(
+                free.len(),
+                free.iter().map(|i| gradient[*i] * slope(&parameters[*i], x[*i])),
+            )
+        };
+        let active: Vec<_> = nearby.iter().filter(|constraint| constraint.is_active).collect();
+        found.active = active.iter().map(|constraint| constraint.text.clone()).collect();
+        while !active.is_empty() && !free.is_empty() {
+            let scale = |gradient: DVector<f64>| {
+                let scaled = gradient
+                    .component_mul(&DVector::from_iterator(free.len(), free.iter().map(|i| sizes[*i])));
+                let norm = scaled.norm();
+                if norm > 0.0 { scaled / norm } else { scaled }
+            };
+            let rows: Vec<_> = active.iter().map(|active| scale(over(free, &active.gradient))).collect();
+            let mut basis = null_space(&rows, free.len());
+            let fixed = (0..free.len()).find(|k| basis.row(*k).amax() <= 1e-9);
+            if let Some(k) = fixed {
+                held.push(free.remove(k));
+                held.sort_unstable();
+                continue;
+            }
+            basis.row_iter_mut().zip(free.iter()).for_each(|(mut row, i)| row *= sizes[*i]);
+            found.basis = (basis.ncols() < free.len()).then_some(basis);
+            break;
+        }
+        let inactive = nearby.iter().filter(|constraint| !constraint.is_active);
+        found.inactive =
+            inactive.map(|constraint| (over(free, &constraint.gradient), constraint.room)).collect();
+        found
     }
 
     /// Returns the residuals at a point, simulated if unknown, and the residuals of more accurate

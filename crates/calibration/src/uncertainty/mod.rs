@@ -1,6 +1,7 @@
 //! Uncertainty of the parameters: covariance, residual tests, active bounds, and the preflight before a fit.
 
 pub(crate) mod covariance;
+pub(crate) mod derived_value;
 pub(crate) mod diagnostics;
 pub(crate) mod differences;
 pub(crate) mod estimate;

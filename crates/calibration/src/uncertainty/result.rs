@@ -122,6 +122,10 @@ pub struct Uncertainty {
     pub standard_errors: Vec<f64>,
     /// Correlation of the parameters, n x n, row by row. It is NaN if a standard error is zero or infinite.
     pub correlation: Vec<f64>,
+    /// Constraints that hold with equality at the point, as written. The covariance is conditional on them:
+    /// moves across them are excluded, like moves across bounds.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub active_constraints: Vec<String>,
     /// Covariance under the assumption of independent residuals; see [`uncorrected`](Self::uncorrected).
     /// `None` if no output has autocorrelated residuals, because the two covariances are then equal.
     pub uncorrected_covariance: Option<Vec<f64>>,
@@ -300,6 +304,10 @@ impl Uncertainty {
     /// The text is empty if there are none.
     pub fn message(&self) -> String {
         let mut reported: Vec<String> = self.undetermined_findings().iter().map(Finding::advice).collect();
+        if !self.active_constraints.is_empty() {
+            let texts = self.active_constraints.join("', '");
+            reported.push(format!("conditional on the active constraints: '{texts}'"));
+        }
         if !self.held.is_empty() {
             let names: Vec<&str> = self.held.iter().map(|i| self.names[*i].as_str()).collect();
             reported.push(format!("at a bound or fixed, treated as known: {}", names.join(", ")));

@@ -2,7 +2,7 @@
 //! likelihood. Near the solution, each of these is a linear least-squares problem with other residuals and
 //! rows.
 
-use crate::problem::objective::NamedCost;
+use crate::problem::objective::{NamedCost, likelihood_variances};
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::group::Group;
 use dfo::{MeanScore, RobustLoss};
@@ -58,7 +58,13 @@ impl Working {
     /// Computes the working residuals for p parameters and N residuals. With a loss, they lead to the
     /// covariance of an M-estimator, see [`MeanScore`]. With the likelihood, an output is weighted with the
     /// inverse of its variance, which gives Fisher's information. Priors have no loss.
-    pub(crate) fn new(criterion: Criterion, plain: &[f64], groups: &[Group], p: usize) -> Self {
+    pub(crate) fn new(
+        criterion: Criterion,
+        layout: &ResidualLayout,
+        plain: &[f64],
+        groups: &[Group],
+        p: usize,
+    ) -> Self {
         let n = plain.len();
         let mut working = Self { residuals: plain.to_vec(), roots: vec![1.0; n], corrections: vec![1.0; n] };
         for group in groups {
@@ -71,7 +77,10 @@ impl Working {
                 Criterion::Loss(loss) if loss.is_linear() => {}
                 Criterion::Loss(loss) => working.count_robustly(loss, &rows, p as f64 / n as f64),
                 Criterion::Likelihood => {
-                    let root = (rows.len() as f64 / squares).sqrt();
+                    let variances = likelihood_variances(layout, plain);
+                    let variance = group.outputs.first().and_then(|k| variances.get(*k));
+                    let variance = variance.map_or(squares / rows.len() as f64, |(variance, _)| *variance);
+                    let root = variance.sqrt().recip();
                     for &i in &rows {
                         (working.roots[i], working.residuals[i]) = (root, plain[i] * root);
                     }
@@ -137,7 +146,7 @@ mod tests {
             [Group { outputs: vec![0], series: std::iter::once(0..100).collect(), ..Group::default() }];
         let with = |kind, scale| {
             let criterion = Criterion::Loss(RobustLoss::new(kind, scale).unwrap());
-            Working::new(criterion, &r, &groups, 2)
+            Working::new(criterion, &ResidualLayout::default(), &r, &groups, 2)
         };
         for kind in [Loss::Linear, Loss::Huber, Loss::SoftL1, Loss::Cauchy] {
             let working = with(kind, 1e6);
@@ -157,7 +166,7 @@ mod tests {
         let expected = (1.0 + 0.02 * ((0.47 + 1.06 / 3.0) * 0.49 - 0.49 * 0.49) / (0.49 * 0.49_f64)).powi(2);
         assert!((working.corrections[0] - expected).abs() < 2e-3, "{}", working.corrections[0]);
         assert!((working.residuals[98] * working.roots[98] - 1.0).abs() < 1e-12);
-        let likelihood = Working::new(Criterion::Likelihood, &r, &groups, 2);
+        let likelihood = Working::new(Criterion::Likelihood, &ResidualLayout::default(), &r, &groups, 2);
         let squares: f64 = likelihood.residuals.iter().map(|r| r * r).sum();
         assert!((squares - 100.0).abs() < 1e-9);
     }

@@ -73,6 +73,9 @@ pub struct Bootstrap {
     pub samples: Vec<Vec<f64>>,
     /// Number of fits that failed.
     pub n_failed: usize,
+    /// Reason of the first failure.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub failure: Option<String>,
     /// Source of the errors.
     pub kind: BootstrapKind,
     /// Seed of the random numbers.
@@ -95,11 +98,11 @@ impl Bootstrap {
     /// interpolated linearly between the ordered values.
     ///
     /// # Errors
-    /// Returns an error if the level is not between 0 and 1, or if no fit succeeded.
+    /// Returns an error if the level is not between 0 and 1.
     pub fn intervals(&self, level: f64) -> Result<Vec<(f64, f64)>, CalibrationError> {
         if !(level > 0.0 && level < 1.0) || self.samples.is_empty() {
             return Err(CalibrationError::Setup(format!(
-                "intervals require a level between 0 and 1 and a fit that succeeded, not level = {level} and {} fits",
+                "intervals require a level between 0 and 1, not level = {level} ({} fits)",
                 self.samples.len()
             )));
         }
@@ -150,14 +153,14 @@ impl Errors {
 
 impl Calibration {
     /// Fits synthetic measurements: the simulation of a fit plus random errors. The fits start at the fitted
-    /// values, with the loss and the weights of the fit, and run in parallel. Priors and
+    /// values, with the objective, the loss and the weights of the fit, and run in parallel. Priors and
     /// measured initial states remain as they are.
     ///
     /// # Errors
-    /// Returns an error if the fit did not minimise a sum of squares, if there are no more measurements than
-    /// parameters, or if the simulation fails. Also returns an error if the file contains another bootstrap,
-    /// or cannot be read or written. Returns [`CalibrationError::Cancelled`] if the context has ended; the
-    /// file then contains the completed fits.
+    /// Returns an error if the fit minimised neither a sum of squares nor the likelihood, if there are no
+    /// more measurements than parameters, if the simulation fails, or if none of the fits succeeds. Also
+    /// returns an error if the file contains another bootstrap, or cannot be read or written. Returns
+    /// [`CalibrationError::Cancelled`] if the context has ended; the file then contains the completed fits.
     pub fn bootstrap(
         &self,
         fit: &Fit,
@@ -175,12 +178,13 @@ impl Calibration {
         context: &RunContext<'_>,
     ) -> Result<Bootstrap, CalibrationError> {
         let setup = |message: String| Err(CalibrationError::Setup(message));
-        if fit.objective != CostKind::default().name() {
+        let objective = CostKind::of_name(&fit.objective).filter(CostKind::has_uncertainty);
+        let Some(objective) = objective else {
             return setup(format!(
-                "a bootstrap requires a sum of squares, but the fit minimised {}",
+                "a bootstrap requires a sum of squares or the likelihood, but the fit minimised {}",
                 fit.objective
             ));
-        }
+        };
         let goodness = fit.goodness();
         if goodness.nfree == 0 || options.n == 0 {
             return setup(format!(
@@ -215,6 +219,7 @@ impl Calibration {
                 run: RunOptions { workers: Some(1), seed: Some(0), ..FitOptions::default_run() },
                 start: Some(fit.x.clone()),
                 loss: fit.report.loss.sparing(0),
+                objective: objective.clone(),
                 noise: NoiseRule::Stated,
                 uncertainty: None,
                 context: *context,
@@ -227,9 +232,13 @@ impl Calibration {
                         let own = self.parameters().iter().zip(&fit.x).zip(&found.x);
                         own.map(|((p, center), x)| p.nearest_to(*center, *x)).collect()
                     };
-                    let x = fitted.ok().filter(|fit| fit.report.is_success()).map(nearest);
+                    let x = match fitted {
+                        Ok(found) if found.report.is_success() => Ok(nearest(found)),
+                        Ok(found) => Err(found.report.message),
+                        Err(error) => Err(error.to_string()),
+                    };
                     held().add(number, x.clone());
-                    Ok(x)
+                    Ok(x.ok())
                 }
             }
         };
@@ -239,11 +248,20 @@ impl Calibration {
         let made: Vec<Option<Vec<f64>>> =
             made.map(|x| x.unwrap_or(Err(CalibrationError::Cancelled))).collect::<Result<_, _>>()?;
         let n_failed = made.iter().filter(|x| x.is_none()).count();
+        let failure = held().failures.range(..options.n).next().map(|(_, reason)| reason.clone());
+        let samples: Vec<Vec<f64>> = made.into_iter().flatten().collect();
+        if samples.is_empty() {
+            return setup(format!(
+                "none of the {n_failed} fits of the bootstrap succeeded. Reason of the first: {}",
+                failure.as_deref().unwrap_or("unknown")
+            ));
+        }
         Ok(Bootstrap {
             names: fit.names.clone(),
             x: fit.x.clone(),
-            samples: made.into_iter().flatten().collect(),
+            samples,
             n_failed,
+            failure,
             kind: options.kind,
             seed,
         })
@@ -258,11 +276,12 @@ impl Calibration {
             .collect();
         let is_known = fit.noise.as_ref().is_some_and(FitNoise::is_known);
         let words = format!(
-            "{} {:?} {bounds:?} {:?} {:?} {is_known}",
+            "{} {:?} {bounds:?} {:?} {:?} {is_known} {}",
             self.problem_hash(),
             fit.x,
             fit.report.loss,
-            options.kind
+            options.kind,
+            fit.objective
         );
         let (path, seed) = (options.checkpoint.as_deref(), options.seed);
         SavedFits::open(path, hash_of_bytes(words.as_bytes()), fit.x.len(), seed)
@@ -309,6 +328,9 @@ impl fmt::Display for Bootstrap {
         }
         if self.n_failed > 0 {
             write!(f, "\n{} fits failed and are not included", self.n_failed)?;
+            if let Some(reason) = &self.failure {
+                write!(f, "; reason of the first: {}", visible_line(reason))?;
+            }
         }
         Ok(())
     }

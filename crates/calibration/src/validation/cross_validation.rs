@@ -197,11 +197,9 @@ impl Calibration {
         let named = |experiments: &[Experiment]| -> Vec<String> {
             experiments.iter().filter_map(|experiment| experiment.name.clone()).collect()
         };
-        let acting_in = |names: &[String]| -> Vec<Parameter> {
-            self.problem().parameters.iter().filter_map(|p| p.restricted_to(names)).collect()
-        };
-        problem.parameters = acting_in(&named(&kept));
+        problem.parameters = self.problem().acting_in(&named(&kept));
         problem.experiments = kept;
+        problem.drop_foreign_constraints()?;
         let names = named(&held_out);
         let without = |source| CalibrationError::Experiment {
             name: format!("without {}", names.join(", ")),
@@ -223,7 +221,7 @@ impl Calibration {
             return Err(CalibrationError::Cancelled);
         }
         let set = ValidationSet::Experiments(held_out);
-        let validation = fitted.validate_with(&fit, &set, acting_in(&names), context);
+        let validation = fitted.validate_with(&fit, &set, self.problem().acting_in(&names), context);
         let mut validation = validation.map_err(without)?;
         let mut fit_rms = fit.rms;
         if !options.loss.is_linear() {

@@ -190,7 +190,8 @@ impl Calibration {
                     None if are_of_fit => None,
                     restricted => Some(restricted.ok_or_else(|| error(p))),
                 };
-                self.problem().parameters.iter().filter_map(acting).collect::<Result<_, _>>()?
+                let kept = self.problem().parameters.iter().filter_map(acting);
+                self.problem().with_used(kept.collect::<Result<_, _>>()?)
             }
             ValidationSet::Windows(_) => self.problem().parameters.clone(),
         };
@@ -235,6 +236,7 @@ impl Calibration {
                 let mut problem = self.problem().clone();
                 problem.experiments.clone_from(experiments);
                 problem.parameters = parameters;
+                problem.drop_foreign_constraints()?;
                 let other = self.derived(problem)?;
                 let (start, mut x, local) = (
                     self.carried(&other, &fit.start)?,

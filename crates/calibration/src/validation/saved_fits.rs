@@ -20,6 +20,9 @@ pub(super) struct SavedFits {
     pub(super) seed: u64,
     /// Fitted values by the number of the fit; `None` if it failed.
     pub(super) fits: BTreeMap<usize, Option<Vec<f64>>>,
+    /// Reasons of the failed fits.
+    #[serde(default)]
+    pub(super) failures: BTreeMap<usize, String>,
     #[serde(skip)]
     path: Option<PathBuf>,
     #[serde(skip)]
@@ -41,6 +44,7 @@ impl SavedFits {
             problem,
             seed: seed.unwrap_or_else(draw_seed),
             fits: BTreeMap::new(),
+            failures: BTreeMap::new(),
             path: path.map(Path::to_owned),
             written: LastWrite::default(),
         };
@@ -59,14 +63,15 @@ impl SavedFits {
             _ => (!found.fits.values().all(is_sound)).then_some("is damaged"),
         })?;
         if let Some(found) = found {
-            (own.seed, own.fits) = (found.seed, found.fits);
+            (own.seed, own.fits, own.failures) = (found.seed, found.fits, found.failures);
         }
         saved_file::write(path, &own)?;
         Ok(own)
     }
 
     /// Adds a completed fit, and writes the file if the last write was long enough ago.
-    pub(super) fn add(&mut self, number: usize, x: Option<Vec<f64>>) {
+    pub(super) fn add(&mut self, number: usize, x: Result<Vec<f64>, String>) {
+        let x = x.map_err(|reason| self.failures.insert(number, reason)).ok();
         self.fits.insert(number, x);
         if self.written.is_due() {
             self.write();

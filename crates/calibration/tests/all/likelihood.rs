@@ -9,8 +9,8 @@ use calibration::dfo::{
     Tolerances,
 };
 use calibration::{
-    Calibration, CalibrationError, CostKind, Data, Experiment, Fit, FitOptions, NamedCost, Parameter, Prior,
-    ProfileOptions, RunContext,
+    BootstrapOptions, Calibration, CalibrationError, CostKind, Data, Experiment, FindingId, Fit, FitOptions,
+    NamedCost, Parameter, Prior, ProfileOptions, RunContext, Sigma, Weight,
 };
 use example_models::example_fmu;
 use fmi::RunSettings;
@@ -269,12 +269,71 @@ fn profile_of_the_likelihood_matches_its_minimum_on_a_grid() {
                 let expected = factor * statistic(point.value);
                 assert!((point.statistic - expected).abs() < 2e-3 * found.threshold, "{point:?} {expected}");
             }
+            assert!((profile.factor / factor - 1.0).abs() < 5e-3, "{} {factor}", profile.factor);
             let (low, high) = profile.interval();
             for end in [low, high] {
                 assert!((factor * statistic(end) / found.threshold - 1.0).abs() < 5e-3, "{profile:?}");
             }
         }
     }
+}
+
+/// Noise of known size in the units of the measurements: the weights do not change the criteria.
+#[test]
+fn comparison_with_known_noise_uses_the_likelihood_of_the_measurements() {
+    let deviations = [0.05, 0.3];
+    let unweighted = oscillator(1, deviations, None);
+    let with = |weights: [Weight; 2]| {
+        let mut problem = unweighted.problem().clone();
+        let mut experiment = Experiment::new(problem.experiments[0].data().clone());
+        for (name, weight) in ["x0", "x1"].into_iter().zip(weights) {
+            experiment = experiment.weighted_output(name, name, weight);
+        }
+        problem.experiments[0] = experiment;
+        Calibration::from_problem(unweighted.fmu().clone(), problem).unwrap()
+    };
+    let [known, half] = [1.0, 0.5].map(|size| {
+        with(deviations.map(|deviation| Weight::from(Sigma::Constant(size * deviation))))
+            .fit(run(auto(), tight()))
+    });
+    let (known, half) = (known.unwrap(), half.unwrap());
+    let likely = fit(&unweighted, None, run(auto(), tight()));
+    let weighted = with([1.0 / 0.05, 1.0 / 0.3].map(Weight::Constant)).fit(run(auto(), tight())).unwrap();
+    let criteria = |one: &Fit, other: &Fit| {
+        let found = one.compare(other).unwrap();
+        assert!(found.is_of_measurements && found.f.is_none());
+        assert!(found.to_string().contains("differ in weights or in knowledge of the noise"), "{found}");
+        found.fits.map(|fit| fit.aic)
+    };
+    let [of_likelihood, of_known] = criteria(&likely, &known);
+    // All describe the same noise: the differences are those of the estimated variances.
+    assert!((of_likelihood - of_known).abs() < 8.0, "{of_likelihood} {of_known}");
+    let [of_weights, again] = criteria(&weighted, &likely);
+    assert!(again == of_likelihood && (of_weights - of_known).abs() < 8.0, "{of_weights}");
+    // Half of the noise is clearly worse: chi-square grows by 3 N, and the logarithms fall by 2 N ln 2.
+    let [of_half, again] = criteria(&half, &known);
+    let chi_square = known.goodness().chisqr;
+    let expected = of_known + 3.0 * chi_square - 400.0 * 2.0_f64.ln();
+    assert!(again == of_known && (of_half - expected).abs() < 1e-6, "{of_half} {expected}");
+    // Equal weights keep the criteria of lmfit.
+    let same = known.compare(&known).unwrap();
+    assert!(!same.is_of_measurements && same.fits[0].aic == known.goodness().aic);
+}
+
+#[test]
+fn bootstrap_of_the_likelihood_has_its_standard_errors() {
+    let calibration = line(1, [0.3, 0.05]);
+    let fit = calibration.fit(FitOptions { objective: LIKELIHOOD, ..FitOptions::default() }).unwrap();
+    let options = BootstrapOptions { n: 100, seed: Some(1), ..BootstrapOptions::default() };
+    let found = calibration.bootstrap(&fit, &options, &RunContext::new()).unwrap();
+    let errors = &fit.uncertainty.as_ref().unwrap().standard_errors;
+    for (error, expected) in found.standard_errors().iter().zip(errors) {
+        assert!((error / expected).ln().abs() < 0.3, "{found}\n{fit}");
+    }
+    let options = FitOptions { objective: CostKind::Named(NamedCost::Mae), ..FitOptions::default() };
+    let mae = calibration.fit(options).unwrap();
+    let error = calibration.bootstrap(&mae, &BootstrapOptions::default(), &RunContext::new()).unwrap_err();
+    assert!(error.to_string().contains("a sum of squares or the likelihood, but the fit minimised mae"));
 }
 
 #[test]
@@ -405,6 +464,126 @@ fn likelihood_of_exact_outputs_ends_at_the_true_values() {
         for (x, truth) in found.x.iter().zip([1.5, 2.0, 0.5]) {
             assert!((x / truth - 1.0).abs() < 1e-4, "{deviations:?}: {found}");
         }
+    }
+}
+
+/// Parameters and a deviation of the noise for each output.
+type Truth<'a> = (&'a [(&'a str, f64, f64)], &'a [(&'a str, f64)]);
+
+/// Recordings of a model, accurately simulated, for simulations with the default tolerance.
+fn recorded_with(model: &str, inputs: &Data, (parameters, outputs): Truth<'_>, seed: u64) -> Calibration {
+    let time = inputs.time().to_vec();
+    let build = |values: Vec<Vec<f64>>, settings: RunSettings| {
+        let mut all: Vec<(String, Vec<f64>)> =
+            outputs.iter().map(|(name, _)| (*name).to_owned()).zip(values).collect();
+        let driven = || ["u1", "u2"].into_iter().filter(|name| inputs.column(name).is_ok());
+        all.extend(driven().map(|name| (name.to_owned(), inputs.column(name).unwrap().to_vec())));
+        let mut experiment = Experiment::new(Data::from_columns(time.clone(), all).unwrap());
+        for (name, _) in outputs {
+            experiment = experiment.output(*name, *name);
+        }
+        experiment = driven().fold(experiment, |experiment, name| experiment.input(name, name));
+        let mut builder = Calibration::builder(open(model)).experiment(experiment).settings(settings);
+        for (name, start, truth) in parameters {
+            let (low, high) = (0.3 * start.min(*truth), 3.0 * start.max(*truth));
+            builder = builder.parameter(Parameter::new(*name, *start).bounds(low, high));
+        }
+        builder.build().unwrap()
+    };
+    let truth: Vec<f64> = parameters.iter().map(|(_, _, truth)| *truth).collect();
+    let exact = build(vec![vec![0.0; time.len()]; outputs.len()], accurate());
+    let exact = exact.simulate(&truth, None, &RunContext::new()).unwrap().swap_remove(0).columns;
+    let mut noise = normal(seed);
+    let noisy = exact.into_iter().zip(outputs).map(|(values, (_, deviation))| {
+        let of = |y: &f64| y + deviation * noise();
+        values.iter().map(of).collect()
+    });
+    build(noisy.collect(), RunSettings::default())
+}
+
+fn van_der_pol(deviations: [f64; 2], seed: u64) -> (Calibration, Vec<f64>) {
+    let parameters = [("mu", 1.2, 1.5), ("x0", 1.8, 2.0), ("x1", 0.3, 0.5)];
+    let outputs = [("x0", deviations[0]), ("x1", deviations[1])];
+    let time: Vec<f64> = (0..100).map(|k| 0.1 * f64::from(k)).collect();
+    let calibration = recorded_with("van_der_pol", &columns(&time, &[]), (&parameters, &outputs), seed);
+    (calibration, parameters.map(|(.., truth)| truth).to_vec())
+}
+
+/// The first outlets of the tank; `n` of the four levels.
+fn tank(n_outlets: usize, deviations: &[f64], seed: u64) -> (Calibration, Vec<f64>) {
+    let names = ["qt.a1", "qt.a2", "qt.a3", "qt.a4"];
+    let truth = [2.4e-6, 2.7e-6, 3.3e-6, 2.2e-6];
+    let parameters: Vec<(&str, f64, f64)> = (0..n_outlets).map(|i| (names[i], 3e-6, truth[i])).collect();
+    let levels = ["qt.x1", "qt.x2", "qt.x3", "qt.x4"];
+    let outputs: Vec<(&str, f64)> = levels.into_iter().zip(deviations.iter().copied()).collect();
+    let inputs = recorded("quad_tank.csv");
+    let calibration = recorded_with("quad_tank", &inputs, (&parameters, &outputs), seed);
+    (calibration, truth[..n_outlets].to_vec())
+}
+
+/// Returns the largest relative error of a parameter if the fit reports success.
+fn error_of_success(calibration: &Calibration, truth: &[f64]) -> Option<f64> {
+    let found = fit(calibration, None, run(auto(), FitOptions::default_run().tolerances));
+    let errors = found.x.iter().zip(truth).map(|(x, truth)| (x / truth - 1.0).abs());
+    found.report.is_success().then(|| errors.fold(0.0, f64::max))
+}
+
+/// The noise of one output is about the error of its simulation.
+#[test]
+fn likelihood_of_an_output_with_hardly_any_noise_ends_near_the_true_values() {
+    for seed in 1..4 {
+        for small in [1e-7, 1e-6] {
+            let (calibration, truth) = van_der_pol([0.1, small], seed);
+            let error = error_of_success(&calibration, &truth);
+            assert!(error.is_none_or(|error| error < 1e-3), "oscillator {seed} {small}: {error:?}");
+        }
+        let (calibration, truth) = tank(2, &[5e-4, 1e-6], seed);
+        let error = error_of_success(&calibration, &truth);
+        assert!(error.is_none_or(|error| error < 0.02), "tank {seed}: {error:?}");
+    }
+}
+
+/// The upper tanks do not depend on the outlets of the lower ones, but their simulation does, by its steps.
+#[test]
+fn likelihood_ignores_exact_outputs_that_no_parameter_changes() {
+    for seed in 1..4 {
+        let (calibration, _) = tank(2, &[5e-4, 5e-4, 0.0, 0.0], seed);
+        let (without, _) = tank(2, &[5e-4, 5e-4], seed);
+        let options = || FitOptions { objective: LIKELIHOOD, ..FitOptions::default() };
+        let (found, expected) = (calibration.fit(options()).unwrap(), without.fit(options()).unwrap());
+        let errors = &expected.uncertainty.as_ref().unwrap().standard_errors;
+        for ((x, best), error) in found.x.iter().zip(&expected.x).zip(errors) {
+            assert!((x - best).abs() < 0.2 * error, "{found}\n{expected}");
+        }
+        let below = found.findings().into_iter().filter(|f| f.id == FindingId::NoiseBelowAccuracy);
+        let subjects: Vec<String> = below.map(|finding| finding.subject).collect();
+        assert_eq!(subjects, ["noise of qt.x3", "noise of qt.x4"], "{found}");
+        assert!(expected.findings().iter().all(|f| f.id != FindingId::NoiseBelowAccuracy), "{expected}");
+    }
+}
+
+/// Run with `cargo test -p fmufit-calibration --test all by_noise_of_one -- --ignored --nocapture`. Of 210 fits,
+/// two fits of the tank end more than 1 % from the true values, with a noise of 1e-8 and 1e-7.
+#[test]
+#[ignore = "prints a table"]
+fn errors_of_the_likelihood_by_noise_of_one_output() {
+    for small in [1e-8, 1e-7, 3e-7, 1e-6, 3e-6, 1e-5, 1e-4] {
+        let print = |name: &str, problems: Vec<(Calibration, Vec<f64>)>| {
+            let n = problems.len();
+            let errors: Vec<f64> =
+                problems.iter().filter_map(|(c, truth)| error_of_success(c, truth)).collect();
+            let wrong = |least: f64| errors.iter().filter(|error| **error > least).count();
+            let largest = errors.iter().copied().fold(0.0, f64::max);
+            println!(
+                "{name:12} {small:e}: {} of {n} succeed, errors above 1e-3: {}, above 1e-2: {}, largest {largest:.1e}",
+                errors.len(),
+                wrong(1e-3),
+                wrong(1e-2)
+            );
+        };
+        print("oscillator", (1..11).map(|seed| van_der_pol([0.1, small], seed)).collect());
+        print("tank 2", (1..11).map(|seed| tank(2, &[5e-4, small], seed)).collect());
+        print("tank 4", (1..11).map(|seed| tank(4, &[5e-4, small, 5e-4, 5e-4], seed)).collect());
     }
 }
 

@@ -7,8 +7,11 @@ mod support;
 
 mod check;
 mod co_simulation;
+mod constrained_fits;
 mod coverage;
+mod derived;
 mod error_model;
+mod expression;
 mod initial_states;
 mod likelihood;
 mod live_page;

@@ -610,6 +610,30 @@ fn bootstrap_has_the_standard_error_of_a_linear_parameter_for_any_number_of_work
 }
 
 #[test]
+fn bootstrap_without_a_successful_fit_states_the_first_reason() {
+    let (calibration, _) = linear_decay(0.05, Sigma::Constant(0.05));
+    let fit = calibration.fit(run(LeastSquares::default())).unwrap();
+    // The fitted value is outside of these bounds.
+    let mut problem = calibration.problem().clone();
+    let start = fit.x[0] - 1.5;
+    problem.parameters[0] =
+        Parameter::new(problem.parameters[0].name(), start).bounds(start - 0.5, start + 0.5);
+    let narrow = Calibration::from_problem(calibration.fmu().clone(), problem).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let checkpoint = Some(folder.path().join("run.boot"));
+    let options = BootstrapOptions { n: 3, seed: Some(1), checkpoint, ..BootstrapOptions::default() };
+    // The reason is also known after the fits are read from the file.
+    for _ in 0..2 {
+        let error = narrow.bootstrap(&fit, &options, &RunContext::new()).unwrap_err().to_string();
+        assert!(
+            error.contains("none of the 3 fits of the bootstrap succeeded. Reason of the first: parameter")
+                && error.contains("is outside of the bounds"),
+            "{error}"
+        );
+    }
+}
+
+#[test]
 fn bootstrap_continues_from_its_file_bit_for_bit() {
     let (calibration, _) = linear_decay(0.05, Sigma::Constant(0.05));
     let fit = calibration.fit(run(LeastSquares::default())).unwrap();
@@ -628,7 +652,10 @@ fn bootstrap_continues_from_its_file_bit_for_bit() {
     let whole = calibration.bootstrap(&fit, &whole, &RunContext::new().polling(&count)).unwrap();
     // The first run ends after about half of its fits.
     let half = asked.into_inner() / 2;
-    let saved = || serde_json::from_slice::<serde_json::Value>(&std::fs::read(&file).unwrap()).unwrap();
+    let saved = || {
+        let text = std::fs::read_to_string(&file).unwrap();
+        serde_json::from_str::<serde_json::Value>(text.split_once('\n').unwrap().1).unwrap()
+    };
     let n_saved = || saved()["fits"].as_object().unwrap().len();
     let asked = AtomicUsize::new(0);
     let is_over = || asked.fetch_add(1, Ordering::Relaxed) > half;
@@ -652,10 +679,11 @@ fn bootstrap_continues_from_its_file_bit_for_bit() {
     let block = BootstrapOptions { kind: BootstrapKind::Block, ..options(12, Some(3)) };
     assert!(refused(&block).contains("of another fit or problem, or of another kind"));
     assert!(refused(&options(12, Some(4))).contains("with another seed"));
-    let mut damaged = saved();
-    damaged["fits"]["0"] = serde_json::json!([1.0, 2.0, 3.0]);
-    std::fs::write(&file, damaged.to_string()).unwrap();
-    assert!(refused(&options(12, Some(3))).contains("is damaged"));
+    // Another value of a stored fit would be a wrong result.
+    let damaged =
+        std::fs::read_to_string(&file).unwrap().replacen("\"fits\":{\"0\":[", "\"fits\":{\"0\":[1", 1);
+    std::fs::write(&file, damaged).unwrap();
+    assert!(refused(&options(12, Some(3))).contains("is damaged, because its checksum does not match"));
     std::fs::write(&file, b"{}").unwrap();
     assert!(refused(&options(12, Some(3))).contains("is not a file of a bootstrap of this version"));
 }

@@ -79,19 +79,19 @@ fn parameter_sets_several_variables_and_tied_ones_follow() {
         one.simulate(&x, None, &RunContext::new()).unwrap()[0].columns,
         explicit.simulate(&[2.5e-6, 2.5e-6, 6e-6], None, &RunContext::new()).unwrap()[0].columns
     );
-    assert_eq!(one.tied_values(&x), [("qt.a3".to_owned(), 6e-6)]);
+    assert_eq!(one.derived_values(&x), [("qt.a3".to_owned(), 6e-6)]);
     let names = |(name, value): &(&str, f64)| ((*name).to_owned(), *value);
     let set = [("qt.a3", 6e-6), ("qt.a1", 2.5e-6), ("qt.a2", 2.5e-6)];
     assert_eq!(one.model_values(0, &x), set.iter().map(names).collect::<Vec<_>>());
 
     let fit = one.fit(FitOptions::default()).unwrap();
-    assert_eq!((fit.names.len(), fit.tied.len()), (1, 1));
-    assert_eq!(fit.tied[0].1, 2.0 * fit.x[0] + 1e-6);
-    assert!(fit.to_string().contains("qt.a3 = "), "{fit}");
+    assert_eq!((fit.names.len(), fit.derived.len()), (1, 1));
+    assert_eq!(fit.derived[0].value, 2.0 * fit.x[0] + 1e-6);
+    assert!(fit.to_string().contains("tied: 2 * outlets + 0.000001"), "{fit}");
     let csv = fit.csv(&one, Table::Parameters, &RunContext::new()).unwrap();
     let row: Vec<&str> = csv.lines().nth(2).unwrap().split(',').collect();
     assert_eq!((row[0], row[9]), ("qt.a3", "outlets"), "{csv}");
-    assert_eq!(row[1].parse(), Ok(fit.tied[0].1), "{csv}");
+    assert_eq!(row[1].parse(), Ok(fit.derived[0].value), "{csv}");
     let error = fit.uncertainty.as_ref().unwrap().standard_errors[0];
     assert_eq!(row[2].parse(), Ok(2.0 * error), "{csv}");
     let json: serde_json::Value = serde_json::from_str(&fit.to_json(&one).unwrap()).unwrap();
@@ -110,7 +110,7 @@ fn parameter_tied_to_local_parameter_is_local() {
         .unwrap();
     assert!(calibration.cost(&[1.0, 2.0], &RunContext::new()).unwrap() < 1e-8);
     let expected = [("x[slow]".to_owned(), 1.0), ("x[run2]".to_owned(), 2.0)];
-    assert_eq!(calibration.tied_values(&[1.0, 2.0]), expected);
+    assert_eq!(calibration.derived_values(&[1.0, 2.0]), expected);
 }
 
 /// The start of a decay is a linear parameter, so the minimum is the solution of a linear regression with a prior.
@@ -357,6 +357,13 @@ fn periodic_parameter_reaches_the_model_within_its_bounds() {
     let fit = calibration.fit(calibration::FitOptions::default()).unwrap();
     assert!((fit.x[0] - 2.0).abs() < 1e-4 && fit.at_bound.is_empty(), "{fit}");
     assert_eq!(fit.bounds, [(0.5, 4.5)]);
+    // A start outside of the period is the equivalent one inside.
+    for start in [7.5, -0.5, -4.5] {
+        let options =
+            calibration::FitOptions { start: Some(vec![start]), ..calibration::FitOptions::default() };
+        let again = calibration.fit(options).unwrap();
+        assert_eq!((&again.start, again.x[0].to_bits()), (&vec![3.5], fit.x[0].to_bits()));
+    }
     let open = Parameter::new("k", 1.0).periodic(true).check().unwrap_err().to_string();
     assert!(open.contains("its period is the difference of its bounds, but they are -inf and inf"), "{open}");
 }

@@ -131,7 +131,7 @@ fn saved_fit_rejects_invalid_files() {
     };
     assert_eq!(changed(&bytes, |_| ()), bytes);
     let other = refusal(&changed(&bytes, |items| *field(&mut items[0], "format_version") = 99.into()));
-    assert!(other.contains("format 99") && other.contains("reads format 7"), "{other}");
+    assert!(other.contains("format 99") && other.contains("reads format 8"), "{other}");
     let kind = refusal(&changed(&bytes, |items| *field(&mut items[0], "format") = "something".into()));
     assert!(kind.contains("not a saved fit"), "{kind}");
     let renamed = |from: &str, to: &str| {

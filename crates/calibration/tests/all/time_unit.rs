@@ -185,6 +185,28 @@ fn check_reports_a_model_in_hours() {
 }
 
 #[test]
+fn time_unit_that_contradicts_the_model_is_a_warning() {
+    let warnings = |stated: &str, given: &str| {
+        let folder = stating(stated, "");
+        let settings =
+            SimulationSettings { time_unit: Some(given.to_owned()), ..SimulationSettings::default() };
+        let calibration = Calibration::builder(Fmu::open(folder.path()).unwrap())
+            .experiment(Experiment::new(recording("time", 1.0)).output("y", "x").window(0.0, 6.0))
+            .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))
+            .settings(settings)
+            .build()
+            .unwrap();
+        let mut all = calibration.warnings().iter().map(ToString::to_string);
+        all.find(|text| text.contains("F069 contradicted-time-unit"))
+    };
+    let text = warnings("s", "h").unwrap();
+    assert!(text.contains("time_unit is 'h', but the model states the time unit 's'"), "{text}");
+    assert_eq!((warnings("h", "h"), warnings("ms", "ms")), (None, None));
+    // The independent variable is not a time, so the setting does not contradict it.
+    assert_eq!(warnings("m", "h"), None);
+}
+
+#[test]
 fn invalid_time_units_are_rejected() {
     let settings = SimulationSettings { time_unit: Some("kg".to_owned()), ..SimulationSettings::default() };
     let message = Calibration::builder(Fmu::open(example_fmu("dahlquist").unwrap()).unwrap())

@@ -204,3 +204,31 @@ fn validation_uses_the_parameters_of_the_experiment_with_the_same_name() {
         "{error}"
     );
 }
+
+#[test]
+fn recordings_of_tied_parameter_are_validated_without_those_of_its_master() {
+    let tied = |name: &str, factor: f64, experiment: &str| {
+        Parameter::tied(name, "fast", factor, 0.0).variables(["k"]).experiments([experiment])
+    };
+    let x0 = || Parameter::new("x", 1.0).bounds(0.1, 10.0);
+    let parameters = vec![rate("fast", &["a"]), tied("same", 1.0, "b"), tied("slow", 0.25, "c"), x0()];
+    let calibration = conditions(parameters);
+    let found = calibration.cross_validate(&CrossValidationOptions::default(), &RunContext::new()).unwrap();
+    for fold in &found.folds {
+        assert_eq!((fold.fit.names.len(), fold.validation.fitted.len()), (2, 0), "{found}");
+        assert!(fold.validation.rms < 1e-3 && (fold.fit.x[0] - 2.0).abs() < 1e-3, "{found}");
+    }
+    let fit = calibration.fit(FitOptions::default()).unwrap();
+    let set = ValidationSet::Experiments(vec![experiment(0.5, 1.5).named("c")]);
+    let slow = calibration.validate(&fit, &set, &RunContext::new()).unwrap();
+    assert!(slow.rms < 1e-3 && slow.x == fit.x, "{slow}");
+    // A parameter may act only through a tied one.
+    let only = Parameter::new("rate", 1.0).bounds(0.1, 10.0).variables(Vec::<String>::new());
+    let half = Parameter::tied("k", "rate", 0.5, 0.0).experiments(["a", "b"]);
+    let fit = conditions(vec![only, half, x0().experiments(["a", "b"])]).fit(FitOptions::default()).unwrap();
+    assert!((fit.x[0] - 4.0).abs() < 1e-3, "{fit}");
+    let fmu = fmi::Fmu::open(example_fmu("dahlquist").unwrap()).unwrap();
+    let nowhere = Parameter::new("k", 1.0).experiments(Vec::<String>::new());
+    let alone = Calibration::builder(fmu).experiment(experiment(2.0, 1.0)).parameter(nowhere).build();
+    assert!(alone.unwrap_err().to_string().contains("experiments is empty. Omit it"));
+}

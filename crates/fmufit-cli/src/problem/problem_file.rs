@@ -6,7 +6,7 @@ use super::error_location::{Lines, field, item, named_in};
 use crate::error::Error;
 use crate::output_paths::is_stream;
 use calibration::{
-    Calibration, CalibrationError, Experiment, ExperimentRecord, FitOptions, Parameter, RunContext,
+    Calibration, CalibrationError, Experiment, ExperimentRecord, FitOptions, Parameter, Relation, RunContext,
     SimulationSettings, Stage, fit_schema, stages_schema,
 };
 use dfo::{Record, RecordError, Value, field_names};
@@ -31,6 +31,10 @@ pub(crate) struct ProblemRecord {
     /// Parameters to fit.
     #[schemars(schema_with = "parameters_schema")]
     parameters: Value,
+    /// Constraints between the parameters, such as `tau1 <= tau2`.
+    #[schemars(with = "Vec<Relation>")]
+    #[serde(default)]
+    constraints: Value,
     /// Settings of the simulations.
     #[schemars(with = "Option<SimulationSettings>")]
     settings: Value,
@@ -49,11 +53,11 @@ const OF_EXPERIMENTS: [&str; 8] =
     ["data", "time", "outputs", "inputs", "weights", "windows", "start_time", "start_values"];
 
 /// Returns the schema of the parameters: at least one, each with a name, and with a start value unless it is
-/// tied to another parameter.
+/// tied to another parameter or derived from others.
 fn parameters_schema(generator: &mut SchemaGenerator) -> Schema {
     let has_value = json_schema!({
         "required": ["name"],
-        "anyOf": [{ "required": ["start"] }, { "required": ["tied_to"] }],
+        "anyOf": [{ "required": ["start"] }, { "required": ["tied_to"] }, { "required": ["expr"] }],
     });
     let all = [generator.subschema_for::<Parameter>(), has_value];
     json_schema!({ "type": "array", "items": { "allOf": all }, "minItems": 1 })
@@ -229,6 +233,22 @@ impl ProblemFile {
         paths.map(|path| self.fields(&path).map(|fields| (path, fields))).collect()
     }
 
+    /// Returns the constraints, with their paths.
+    fn constraints(&self) -> Result<Vec<(String, Value)>, Error> {
+        match self.value("constraints") {
+            None => Ok(Vec::new()),
+            Some(Value::List(items)) => Ok(items
+                .iter()
+                .enumerate()
+                .map(|(k, value)| (item("constraints", k), value.clone()))
+                .collect()),
+            Some(_) => {
+                let message = "constraints: expected a list, constraints = [\"a <= b\"], or tables with the heading [[constraints]]";
+                Err(self.error("constraints", message))
+            }
+        }
+    }
+
     /// Rejects names in a table that the library does not support.
     fn check_names(
         &self,
@@ -281,6 +301,10 @@ impl ProblemFile {
         for (path, fields) in self.tables("parameters")? {
             let parameter = Parameter::from_record(&fields).map_err(|error| self.located(&path, error))?;
             builder = builder.parameter(parameter);
+        }
+        for (path, constraint) in self.constraints()? {
+            let relation = constraint.read::<Relation>("constraint");
+            builder = builder.constraint(relation.map_err(|error| self.located(&path, error.into()))?);
         }
         for (path, fields) in self.tables("experiments")? {
             let experiment = Experiment::from_record(&fields, &self.folder, context);

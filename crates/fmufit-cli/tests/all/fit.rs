@@ -455,3 +455,53 @@ fn report_rejects_files_that_are_not_saved_fits() {
     std::fs::rename(folder.path("model.fmu"), folder.path("moved.fmu")).unwrap();
     folder.run("report decay.fit a.html --model moved.fmu").good();
 }
+
+#[test]
+fn file_contains_derived_parameters() {
+    let derived = |expr: &str| format!("\n[[parameters]]\nname = \"x\"\nexpr = \"{expr}\"\n");
+    let folder = decay(&derived("k / 2"));
+    let ran = folder.run("fit problem.toml --json").good();
+    let parameters = &json(&ran)["parameters"];
+    assert_eq!(parameters[1]["value"].as_f64().unwrap(), fitted(&ran) / 2.0);
+    assert_eq!(parameters[1]["expr"], "k / 2");
+    assert!(folder.run("fit problem.toml").good().contains("derived: k / 2"));
+    for (expr, expected) in [
+        (
+            "k ^ 2",
+            "problem.toml, line 14: parameter 'x': expr: '^' is not an operator. Write ** for a power (column 3)",
+        ),
+        ("2 * kk", "'kk' ('k'?), which does not exist; available: k (column 5)"),
+    ] {
+        folder.write("problem.toml", &(PROBLEM.to_owned() + &derived(expr)));
+        let message = folder.run("fit problem.toml").wrong_input();
+        assert!(message.contains(expected), "{message}");
+    }
+}
+
+#[test]
+fn constraints_of_a_file_hold_at_the_result() {
+    let folder = decay("");
+    folder.write("problem.toml", &format!("constraints = [\"2 * k <= 3\"]\n{PROBLEM}"));
+    let fit = folder.run("fit problem.toml");
+    assert!(fit.out.contains("k  1  -> 1.5"), "{fit:?}");
+}
+
+#[test]
+fn constraints_of_a_file_are_checked_before_the_fit() {
+    let folder = decay("");
+    for (constraint, expected) in [
+        (
+            "k >= 20",
+            "problem.toml, line 1: constraint 'k >= 20': k is between 0.1 and 10 within the bounds, but must be at least 20",
+        ),
+        (
+            "kk <= 1",
+            "problem.toml, line 1: constraint 'kk <= 1': 'kk' ('k'?) is not a parameter; available: k (column 1)",
+        ),
+        ("k = 1", "'=' is not an operator. Write == for equality (column 3)"),
+    ] {
+        folder.write("problem.toml", &format!("constraints = [\"{constraint}\"]\n{PROBLEM}"));
+        let message = folder.run("fit problem.toml").wrong_input();
+        assert!(message.contains(expected), "{message}");
+    }
+}

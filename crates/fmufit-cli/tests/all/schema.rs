@@ -49,6 +49,8 @@ fn schema_accepts_the_spellings_of_the_program() {
     let schema = schema(&folder);
     folder.record_decay();
     for more in [
+        "[[constraints]]\nexpr = \"k <= 5\"\n[[constraints]]\nexpr = \"0 <= k\"",
+        "[[parameters]]\nname = \"x\"\nexpr = \"k / 2 + 0.5\"\nlower = 0",
         "fixed = 0\nlocal = 1",
         "fixed = false\nkind = \"Continuous\"\nscale = \"LOG\"",
         "prior = { log-normal = { median = 2.0, sigma = 0.5 } }",
@@ -75,12 +77,14 @@ fn results_follow_their_schemas() {
         "staged.toml",
         &format!("{PROBLEM}[[stages]]\nparameters = [\"k\"]\nwindows = [[0.0, 1.0]]\n"),
     );
+    folder.write("derived.toml", &format!("{PROBLEM}[[parameters]]\nname = \"x\"\nexpr = \"k / 2\"\n"));
     for (of, arguments) in [
         ("info", "info model.fmu --json"),
         ("validate", "validate model.fmu --json"),
         ("check", "check problem.toml --json"),
         ("check", "check problem.toml --preflight --json"),
         ("fit", "fit problem.toml --json -O preflight=true"),
+        ("fit", "fit derived.toml --json"),
         ("fit", "fit problem.toml --json -O max_evaluations=3 -O covariance=none"),
         ("fit", "fit staged.toml --json -O method=de-classic -O max_evaluations=20 -O workers=-1 -O rng=1"),
         ("error", "fit none.toml --json"),
@@ -109,6 +113,9 @@ fn schema_and_program_reject_the_same_documents() {
         ("data = ", "date = "),
         ("start = 1.0", "strat = 1.0"),
         ("start = 1.0", "start = \"one\""),
+        ("start = 1.0", "expr = 1"),
+        ("model = ", "constraints = [1]\nmodel = "),
+        ("model = ", "constraints = [{ exp = \"k <= 5\" }]\nmodel = "),
         ("upper = 10", "upper = 10\nscale = \"ln\""),
         ("upper = 10", "upper = 10\nprior = { normal = { mean = 1.0, sigma = 1.0 } }"),
         ("upper = 10", "upper = 10\n[settings]\nsolvr = 1"),

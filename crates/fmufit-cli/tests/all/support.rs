@@ -27,11 +27,14 @@ impl Ran {
         self.out
     }
 
-    /// Returns the only line on the standard error stream of a command that rejected its input.
+    /// Returns the only line on the standard error stream of a command that rejected its input. A formula with
+    /// a mark below its mistake may follow it.
     pub(crate) fn wrong_input(self) -> String {
         assert_eq!((self.code, self.out.as_str()), (2, ""), "{self:?}");
         let message = self.err.strip_prefix("error: ").unwrap_or_else(|| panic!("{self:?}"));
-        assert_eq!(message.lines().count(), 1, "{message}");
+        let lines: Vec<&str> = message.lines().collect();
+        let is_marked = lines.len() == 3 && lines[2].trim_start() == "^";
+        assert!(lines.len() == 1 || is_marked, "{message}");
         message.trim_end().to_owned()
     }
 }

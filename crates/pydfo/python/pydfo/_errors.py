@@ -89,8 +89,14 @@ class BadCalibrationError(CalibrationError, ValueError):
     """Data, parameters or settings of a calibration do not match."""
 
     def __init__(self, *args: object) -> None:
-        # Names of columns and variables may contain line breaks and escapes.
-        super().__init__(*(line(value) if isinstance(value, str) else value for value in args))
+        super().__init__(*(_message(value) if isinstance(value, str) else value for value in args))
+
+
+def _message(text: str) -> str:
+    """Escapes line breaks, because names of columns and variables may contain them, except before a formula with a
+    mark below its mistake."""
+    lines = text.rsplit("\n", 2) if text.rpartition("\n")[2].lstrip() == "^" else [text]
+    return "\n".join(line(part) for part in lines)
 
 
 class CalibrationWarning(UserWarning):

@@ -92,6 +92,7 @@ impl PyCalibration {
         experiments: Vec<ExperimentFields>,
         settings: PyRecord,
         parameters: Vec<PyParameter>,
+        constraints: Vec<String>,
     ) -> PyResult<Self> {
         let settings = settings.settings(py)?;
         let fmu = match model {
@@ -99,6 +100,13 @@ impl PyCalibration {
             Source::Path(path) => files::open(py, path, &settings.open_options())?,
         };
         let parameters = parameters.into_iter().map(|p| p.check(py)).collect::<PyResult<Vec<_>>>()?;
+        let constraint = |text: String| {
+            text.parse::<calibration::Relation>().map_err(|e| {
+                let message = format!("constraint '{text}': {e}");
+                error::calibration(py, &CalibrationError::Setup(message))
+            })
+        };
+        let constraints = constraints.into_iter().map(constraint).collect::<PyResult<Vec<_>>>()?;
         // The name of the experiment, if there are several.
         let is_one = experiments.len() == 1;
         let mut callbacks = Callbacks::default();
@@ -128,7 +136,8 @@ impl PyCalibration {
                 });
                 builder = builder.experiment(made?);
             }
-            parameters.into_iter().fold(builder, |builder, parameter| builder.parameter(parameter)).build()
+            let builder = parameters.into_iter().fold(builder, calibration::CalibrationBuilder::parameter);
+            constraints.into_iter().fold(builder, calibration::CalibrationBuilder::constraint).build()
         })?;
         Ok(Self { shared: Shared::finish(py, built, callbacks)? })
     }
@@ -196,14 +205,14 @@ impl PyCalibration {
         self.inner().parameters().iter().map(|p| p.name()).collect()
     }
 
-    /// Returns names and values of the tied parameters.
-    fn tied(&self, x: Vec<f64>) -> Vec<(String, f64)> {
-        self.inner().tied_values(&x)
+    /// Returns the constraints as written.
+    fn constraints(&self) -> Vec<&str> {
+        self.inner().problem().constraints.iter().map(calibration::Relation::text).collect()
     }
 
-    /// Returns names and standard errors of the tied parameters.
-    fn tied_errors(&self, errors: Vec<f64>) -> Vec<(String, f64)> {
-        self.inner().tied_errors(&errors)
+    /// Returns names and values of the derived parameters.
+    fn derived(&self, x: Vec<f64>) -> Vec<(String, f64)> {
+        self.inner().derived_values(&x)
     }
 
     /// Returns the variables set in the model at `x` for the simulation of an experiment, and their values.

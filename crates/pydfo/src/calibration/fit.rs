@@ -89,6 +89,15 @@ impl PyFit {
         self.inner.start.clone()
     }
 
+    /// Returns names and standard errors of the derived parameters; empty if the fit has no uncertainty.
+    fn derived_errors(&self) -> Vec<(String, f64)> {
+        let errors = self.inner.uncertainty.iter().flat_map(|uncertainty| {
+            let error = |derived: &calibration::DerivedValue| derived.standard_error(uncertainty);
+            self.inner.derived.iter().map(move |derived| (derived.name.clone(), error(derived)))
+        });
+        errors.collect()
+    }
+
     /// Names of the parameters in reports and figures.
     #[getter]
     fn shown_names(&self) -> Vec<String> {

@@ -41,7 +41,7 @@ fn to_python<'py>(py: Python<'py>, found: &Profile) -> PyResult<Bound<'py, PyDic
     let of = |profile: &ParameterProfile| {
         let rows: Vec<Vec<f64>> = profile.points.iter().map(|point| point.x.clone()).collect();
         Ok(dict!(py;
-            profile => name, optimum;
+            profile => name, optimum, factor;
             "values": PyArray1::from_iter(py, profile.points.iter().map(|p| p.value)),
             "costs": PyArray1::from_iter(py, profile.points.iter().map(|p| p.statistic)),
             "points": PyArray2::from_vec2(py, &rows)?,

@@ -6,16 +6,17 @@ use super::noise_iterations::FinalSearch;
 use super::result::Fit;
 use super::search::{Job, SearchResult};
 use crate::cost::residual::{CostRule, PointResiduals, sum_of_squares};
+use crate::findings::display_text::digits;
 use crate::findings::finding::{Finding, Origin};
 use crate::findings::identifier::FindingId;
-use crate::fit::output_fit::{EndResiduals, KeptResiduals};
+use crate::fit::output_fit::{EndResiduals, KeptResiduals, log_weights};
 use crate::fit::phase::FitPhase;
 use crate::loaded::budget::{Budget, Extra};
 use crate::loaded::calibration::Calibration;
 use crate::loaded::simulations_around::Simulations;
-use crate::problem::objective::{CostKind, NamedCost};
+use crate::problem::objective::{CostKind, NamedCost, likelihood_variances};
 use crate::problem::parameter::Parameter;
-use crate::problem::residual_layout::ResidualLayout;
+use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
 use crate::uncertainty::estimate::EvaluatedPoint;
 use crate::uncertainty::result::{Uncertainty, UncertaintyOptions};
@@ -48,8 +49,12 @@ impl Calibration {
         job.enter(FitPhase::Checks, &stats);
         let ends = fitted.end_residuals(&report.x, residuals, *loss, context, &mut stats);
         let mut findings = fitted.findings_of_search(job, &made, &ends, &mut budget, &mut stats);
-        let outputs =
+        let mut outputs =
             ends.end.as_ref().map_or_else(Vec::new, |end| fitted.output_fits(end, ends.start.as_ref()));
+        // The fit may have divided the weights by estimates of the noise.
+        for (fit, output) in outputs.iter_mut().zip(&self.residual_layout().outputs) {
+            fit.log_weights = log_weights(output);
+        }
         job.enter(FitPhase::Uncertainty, &stats);
         let uncertainty = fitted.uncertainty_of_fit(job, &made, &ends, &mut budget, &mut stats);
         // The search ended normally, but the steps after it did not.
@@ -119,7 +124,7 @@ impl Calibration {
             setup_findings: findings,
             cost: report.fun,
             rms: rms.unwrap_or(f64::NAN),
-            tied: self.tied_values(&report.x),
+            derived: self.derived_at(&report.x, start),
             start_cost,
             start_rms,
             objective: objective.name().to_owned(),
@@ -177,6 +182,9 @@ impl Calibration {
             let contradictions = self.contradictions_of_stated_noise(job, made, &end.residuals);
             found.extend(contradictions.into_iter().map(|finding| finding.of(Origin::Residuals)));
             found.extend(misfit::findings(self, &end.residuals));
+            if job.objective.is_likelihood() {
+                found.extend(self.noise_below_accuracy(&end.residuals));
+            }
         }
         let mut once: Vec<Finding> = Vec::with_capacity(found.len());
         found.into_iter().for_each(|finding| {
@@ -185,6 +193,36 @@ impl Calibration {
             }
         });
         once
+    }
+
+    /// Returns findings about outputs whose variance in the likelihood is limited by the accuracy of the
+    /// simulation.
+    fn noise_below_accuracy(&self, residuals: &[f64]) -> Vec<Finding> {
+        let layout = self.residual_layout();
+        let mut found: Vec<Finding> = Vec::new();
+        for (output, (variance, is_limited)) in
+            layout.outputs.iter().zip(likelihood_variances(layout, residuals))
+        {
+            let subject = format!("noise of {}", output.variable);
+            if !is_limited || found.iter().any(|finding| finding.subject == subject) {
+                continue;
+            }
+            let same = layout.outputs.iter().filter(|o| o.variable == output.variable);
+            let rows: Vec<usize> = same.flat_map(OutputResiduals::noisy_rows).collect();
+            let squares: f64 = rows.iter().map(|row| residuals[*row] * residuals[*row]).sum();
+            let of_residuals = (squares / rows.len().max(1) as f64).sqrt();
+            let sentence = format!(
+                "the weighted residuals of '{}' have the standard deviation {}, which is below the error of its simulation, about {}. The fit \
+                 uses this error as the noise of the output",
+                output.variable,
+                digits(of_residuals),
+                digits(variance.sqrt())
+            );
+            let remedy = "Set a smaller relative_tolerance if the output is measured so accurately";
+            let finding = Finding::note(FindingId::NoiseBelowAccuracy, subject, sentence, remedy);
+            found.push(finding.of(Origin::Residuals));
+        }
+        found
     }
 
     /// Returns findings about residuals that contradict the noise stated by the weights. This applies to fits

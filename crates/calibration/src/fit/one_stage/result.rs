@@ -10,6 +10,7 @@ use crate::fit::phase::PhaseCost;
 use crate::loaded::calibration::Calibration;
 use crate::problem::prior::Prior;
 use crate::problem::residual_layout::ResidualLayout;
+use crate::uncertainty::derived_value::DerivedValue;
 use crate::uncertainty::inactive_parameters::BoundSide;
 use crate::uncertainty::preflight::Preflight;
 use crate::uncertainty::result::Uncertainty;
@@ -30,8 +31,9 @@ pub struct Fit {
     /// [`Parameter::display_name`](crate::Parameter::display_name)). If empty, use `names`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub shown_names: Vec<String>,
-    /// Names and values of the parameters that are tied to others.
-    pub tied: Vec<(String, f64)>,
+    /// Parameters that are tied to others or derived from them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub derived: Vec<DerivedValue>,
     /// Start values of the parameters.
     pub start: Vec<f64>,
     /// Units of the parameters in the same order, if they are known.

@@ -93,6 +93,7 @@ impl Counted<'_> {
         if wanted == EvaluationKind::Cost {
             answer.residuals.clear();
         }
+        self.calibration.constraints().nonlinear(x, &mut answer.constraints);
     }
 }
 
@@ -282,8 +283,15 @@ impl<'a> Job<'a> {
         }
         calibration.problem().check_logarithms(options.noise == NoiseRule::Estimated)?;
         run.workers.get_or_insert_with(base::available_cores);
-        let start = options.start.unwrap_or_else(|| calibration.start());
+        let mut start = options.start.unwrap_or_else(|| calibration.start());
+        // An angle outside of its period is the same point as one inside.
+        for (value, parameter) in start.iter_mut().zip(calibration.parameters()) {
+            if !(parameter.lower()..=parameter.upper()).contains(value) {
+                *value = parameter.reported(*value);
+            }
+        }
         calibration.check_start(&start)?;
+        run.constraints = calibration.constraints().of_search(run.constraints.tolerance);
         if let Some(index) = options.held.iter().find(|&&i| i >= start.len()) {
             let n = start.len();
             return Err(CalibrationError::Setup(format!(
@@ -642,6 +650,23 @@ impl Calibration {
         if let (dfo::Error::AllStartsFailed(found), Ok(remote)) = (&mut source, &self.evaluator().remote) {
             found.failures.iter_mut().for_each(|(reason, _)| remote.explain_reason(reason));
         }
+        let texts = self.constraints().texts();
+        match &source {
+            dfo::Error::Infeasible { constraint: Some(k) } if *k < texts.len() => {
+                return CalibrationError::Setup(format!(
+                    "no parameter values satisfy the constraints: '{}' contradicts the bounds and the constraints before it",
+                    texts[*k]
+                ));
+            }
+            dfo::Error::DiscreteConstraint { constraint, index, kind } if *constraint < texts.len() => {
+                return CalibrationError::Setup(format!(
+                    "constraint '{}': '{}' is {kind}, but linear constraints require continuous parameters",
+                    texts[*constraint],
+                    self.parameters()[*index].name()
+                ));
+            }
+            _ => {}
+        }
         match source.parameter() {
             Some(index) => {
                 let name = self.parameters()[index].name().to_owned();
@@ -668,6 +693,6 @@ impl Calibration {
                 return Err(CalibrationError::Parameter { name, message });
             }
         }
-        Ok(())
+        self.evaluator().check_derived_at(start)
     }
 }

@@ -29,7 +29,8 @@ pub(super) struct Chain<'a> {
 }
 
 impl Chain<'_> {
-    /// Returns the log densities of points. A failed simulation has the density zero.
+    /// Returns the log densities of points. A failed simulation has the density zero, and so has a point that
+    /// violates a constraint.
     fn log_densities(&mut self, points: &[&[f64]]) -> Result<Vec<f64>, CalibrationError> {
         let parameters = self.calibration.parameters();
         let whole: Vec<Point> = (points.iter())
@@ -39,17 +40,17 @@ impl Chain<'_> {
                 Point::new(x)
             })
             .collect();
-        let answers = self.simulations.residuals(&whole)?;
+        let constraints = self.calibration.constraints();
+        let (places, allowed): (Vec<usize>, Vec<Point>) =
+            whole.into_iter().enumerate().filter(|(_, point)| constraints.hold_at(&point.x)).unzip();
+        let answers = self.simulations.residuals(&allowed)?;
         self.saved.n_simulations += answers.len();
-        let mut found = Vec::with_capacity(points.len());
-        for (answer, point) in answers.iter().zip(&whole) {
-            found.push(match answer {
-                Ok(residuals) => self.density.at(parameters, &point.x, residuals),
-                Err(_) => {
-                    self.saved.n_failed += 1;
-                    f64::NEG_INFINITY
-                }
-            });
+        let mut found = vec![f64::NEG_INFINITY; points.len()];
+        for ((answer, point), place) in answers.iter().zip(&allowed).zip(places) {
+            match answer {
+                Ok(residuals) => found[place] = self.density.at(parameters, &point.x, residuals),
+                Err(_) => self.saved.n_failed += 1,
+            }
         }
         Ok(found)
     }

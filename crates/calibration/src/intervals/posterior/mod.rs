@@ -42,6 +42,7 @@ impl Calibration {
     /// # Errors
     /// Returns an error in these cases:
     ///
+    /// - There is an equality among the constraints.
     /// - The fit minimised a robust loss, or a cost that is neither a sum of squares nor the likelihood.
     /// - No parameter is free, there are too few walkers, or no steps remain after the warm-up.
     /// - The walkers start in a box with an infinite bound.
@@ -67,6 +68,11 @@ impl Calibration {
     ) -> Result<Posterior, CalibrationError> {
         let setup = |message: String| Err(CalibrationError::Setup(message));
         let density = LogDensity::of_fit(self, fit)?;
+        if let Some(equality) = self.constraints().first_equality() {
+            return setup(format!(
+                "points that satisfy the equality '{equality}' cannot be sampled. Replace it with a derived parameter (expr)"
+            ));
+        }
         let is_free = |i: &usize| {
             let p = &self.parameters()[*i];
             !p.is_fixed() && p.lower() != p.upper() && p.value_kind() == ParameterKind::Continuous

@@ -174,14 +174,15 @@ impl Calibration {
         refits.sizes = (0..n).map(|i| step_of(Some(&uncertainty), i).unwrap_or(refits.sizes[i])).collect();
         // The curvature of a likelihood is that of a sum of squares with variances of 1.
         let unit = if is_likelihood { self.n_weighted() as f64 / optimum.cost } else { 1.0 };
+        let of_one_variance =
+            if uncertainty.is_noise_known() { 1.0 } else { degrees_of_freedom / optimum.cost };
         let per_rise = |i: usize| -> Result<f64, CalibrationError> {
             let quantile = check_level(options.level, uncertainty.effective_degrees_of_freedom[i])?;
             let found =
                 unit * curvature[i] / uncertainty.covariance[i * n + i] * threshold / (quantile * quantile);
             // For an undetermined parameter, or one at its bound, no other scale is available.
             let is_positive = found > 0.0 && found.is_finite();
-            let of_all = if uncertainty.is_noise_known() { 1.0 } else { degrees_of_freedom / optimum.cost };
-            Ok(if is_positive { found } else { of_all })
+            Ok(if is_positive { found } else { of_one_variance })
         };
         let origins = (requested.iter())
             .map(|&i| {
@@ -197,6 +198,8 @@ impl Calibration {
                 })
             })
             .collect::<Result<Vec<Origin<'_>>, CalibrationError>>()?;
+        let factors: Vec<f64> = origins.iter().map(|origin| origin.per_rise / of_one_variance).collect();
+        let mut factors = factors.into_iter();
         let sides = sides_of(&refits, &origins, saved, workers, context);
         n_simulations += sides.iter().map(|side| side.n_simulations).sum::<usize>();
         let is_interrupted = sides.iter().any(|side| side.end == ProfileEnd::Interrupted);
@@ -211,6 +214,7 @@ impl Calibration {
                 parameter: i,
                 name: fit.names[i].clone(),
                 optimum: optimum.x[i],
+                factor: factors.next().unwrap_or(1.0),
                 points,
                 lower: lower.end,
                 upper: upper.end,

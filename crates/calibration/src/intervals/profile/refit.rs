@@ -60,6 +60,7 @@ impl Objective for Refits<'_> {
             answer.outcome = RobustLoss::default().cost(&mut answer.residuals, f64::INFINITY);
         }
         *self.stats.lock().unwrap_or_else(|e| e.into_inner()) += stats;
+        self.calibration.constraints().nonlinear(x, &mut answer.constraints);
     }
 
     fn has_residuals(&self) -> bool {
@@ -122,7 +123,9 @@ impl Refits<'_> {
         let n_free = (0..start.len()).filter(|i| !is_held(*i)).count();
         let limits = Limits { max_evaluations: Some(EVALUATIONS * (n_free + 1)), ..Limits::default() };
         let method = LeastSquares::default().radius(RADIUS);
-        let options = RunOptions { method, tolerances, limits, workers: Some(1), ..RunOptions::default() };
+        let mut options =
+            RunOptions { method, tolerances, limits, workers: Some(1), ..RunOptions::default() };
+        options.constraints = self.calibration.constraints().of_search(options.constraints.tolerance);
         let report = dfo::minimize(ByRef(self))
             .start(start)
             .bounds(&bound(Parameter::search_lower), &bound(Parameter::search_upper))

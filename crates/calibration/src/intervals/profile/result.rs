@@ -85,6 +85,10 @@ pub struct ParameterProfile {
     pub optimum: f64,
     /// Points in ascending order of the value, including the optimum.
     pub points: Vec<ProfilePoint>,
+    /// Statistic divided by the statistic of a single variance, `(N - p) (cost / cost_min - 1)` with the cost
+    /// as a sum of squares. It differs from 1 if outputs have separate variances, which are estimated without
+    /// bias, or if residuals are autocorrelated; see [`Calibration::profile`](crate::Calibration::profile).
+    pub factor: f64,
     /// End of the profile below the optimum.
     pub lower: ProfileEnd,
     /// End of the profile above the optimum.
@@ -154,6 +158,17 @@ impl fmt::Display for Profile {
         }
         for profile in self.parameters.iter().filter(|p| !p.message().is_empty()) {
             write!(f, "\n- {}: {}", shown(profile), visible_line(&profile.message()))?;
+        }
+        let is_scaled = |p: &&ParameterProfile| (p.factor - 1.0).abs() > 0.005;
+        let scaled: Vec<&ParameterProfile> = self.parameters.iter().filter(is_scaled).collect();
+        if !scaled.is_empty() {
+            let factor = |p: &&ParameterProfile| format!("{} ({})", digits(p.factor), shown(p));
+            let factors = scaled.iter().map(factor).collect::<Vec<_>>().join(", ");
+            write!(
+                f,
+                "\n- the threshold applies to the rise of the cost, divided by one variance of all residuals, times a factor that \
+                 accounts for the estimated variance of each parameter: {factors}"
+            )?;
         }
         if self.is_autocorrelated {
             f.write_str("\n- the residuals are autocorrelated, and the intervals are corrected for this")?;

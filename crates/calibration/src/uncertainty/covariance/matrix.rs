@@ -29,9 +29,9 @@ impl Factors {
         let (m, p) = changes.shape();
         let Some(ThinSvd { u, values, v_t }) = thin_svd(changes, context)? else {
             return Ok(Self {
-                inverse: DMatrix::zeros(p, 0),
+                inverse: DMatrix::zeros(steps.nrows(), 0),
                 base: DMatrix::zeros(m, 0),
-                is_undetermined: vec![true; p],
+                is_undetermined: vec![true; steps.nrows()],
             });
         };
         let largest = values.iter().copied().fold(0.0, f64::max);
@@ -40,7 +40,7 @@ impl Factors {
         let column = |k: &usize| steps * v_t.row(*k).transpose() / values[*k];
         let inverse: Vec<DVector<f64>> = kept.iter().map(column).collect();
         let base = if kept.len() == p { u } else { u.select_columns(&kept) };
-        let mut is_undetermined = vec![false; p];
+        let mut is_undetermined = vec![false; steps.nrows()];
         // In a combination that is left out, parameters are compared relative to their longest
         // steps.
         let sizes: Vec<f64> = steps.row_iter().map(|row| row.amax().max(f64::MIN_POSITIVE)).collect();
@@ -55,7 +55,8 @@ impl Factors {
                 *flag |= *share > SHARE * most;
             }
         }
-        let inverse = if inverse.is_empty() { DMatrix::zeros(p, 0) } else { DMatrix::from_columns(&inverse) };
+        let none = || DMatrix::zeros(steps.nrows(), 0);
+        let inverse = if inverse.is_empty() { none() } else { DMatrix::from_columns(&inverse) };
         Ok(Self { inverse, base, is_undetermined })
     }
 

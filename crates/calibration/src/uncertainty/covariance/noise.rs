@@ -356,7 +356,7 @@ mod tests {
     ) -> (Noise, Factors) {
         let (context, criterion) = (RunContext::new(), Criterion::default());
         let groups = groups(layout, residuals, estimator, criterion, false);
-        let working = Working::new(criterion, residuals, &groups, jacobian.ncols());
+        let working = Working::new(criterion, layout, residuals, &groups, jacobian.ncols());
         let n = jacobian.ncols();
         let factors = match n {
             0 => Factors {

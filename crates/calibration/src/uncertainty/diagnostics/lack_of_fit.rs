@@ -107,7 +107,7 @@ mod tests {
             is_noise_known: false,
             is_log: false,
         };
-        ResidualLayout { outputs: vec![output], priors: Vec::new() }
+        ResidualLayout { outputs: vec![output], ..ResidualLayout::default() }
     }
 
     /// Pure error: three pairs at a distance of 2, so that its sum of squares is 6 with 3 degrees of freedom.

@@ -283,7 +283,7 @@ mod tests {
             is_noise_known: false,
             is_log: false,
         };
-        let layout = ResidualLayout { outputs: vec![output], priors: Vec::new() };
+        let layout = ResidualLayout { outputs: vec![output], ..ResidualLayout::default() };
         let checks = ResidualCheck::all(&layout, &["a".to_owned()], &r, &RunContext::new());
         let mut check = checks.unwrap().remove(0);
         assert!(check.has_offset());

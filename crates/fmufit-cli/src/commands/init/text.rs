@@ -85,7 +85,7 @@ pub(super) fn text(
             .to_owned(),
     );
     lines.push(
-        "# Further fields: scale = \"log\", nominal, fixed, local, variables, unit, tied_to, prior."
+        "# Further fields: scale = \"log\", nominal, fixed, local, variables, unit, tied_to, expr, prior."
             .to_owned(),
     );
     lines.extend(proposed.confounded.iter().map(|remark| format!("# {}", one_line(remark))));

@@ -38,7 +38,9 @@ class Bootstrap(NamedTuple):
 
     @property
     def stderr(self) -> FloatArray:
-        """Standard deviation of each parameter."""
+        """Standard deviation of each parameter; NaN for a single fit."""
+        if len(self.samples) < 2:
+            return np.full(len(self.x), np.nan)
         found: FloatArray = np.std(self.samples, axis=0, ddof=1)
         return found
 

@@ -135,6 +135,10 @@ class Calibration(Evaluation):
         over each interval, excluding masked rows. The weights become weights of the means, see `Experiment`.
     sheet, initial_states, windows, warm_up, delays, hold_inputs : optional
         Settings of the single recording, as in `Experiment`.
+    constraints : list of str, optional
+        Relations between parameters, such as ``["k1 + k2 + k3 == 1", "tau1 <= tau2", "m*g/k <= 0.1"]``, with the formulas of
+        `Parameter` and the comparisons ``==``, ``<=`` and ``>=``. Mistakes and contradictions are errors. **Optimisers do
+        not support constraints yet**, so `fit` raises ValueError. Use a derived parameter (``expr``) for an equality.
     simulation : Simulation or dict, optional
         Solver, tolerance, steps and time limit of the simulations, see `Simulation`. Its settings are also accepted
         as arguments: ``solver="bdf"`` is short for ``simulation={"solver": "bdf"}``.
@@ -188,6 +192,7 @@ class Calibration(Evaluation):
         warm_up: SupportsFloat | None = None,
         delays: Mapping[str, SupportsFloat] | None = None,
         hold_inputs: bool | None = None,
+        constraints: Sequence[str] | str = (),
         simulation: Simulation | Mapping[str, Any] | None = None,
         process: Process | Mapping[str, Any] | None = None,
         **settings: Unpack[SimulationKeywords],
@@ -218,6 +223,7 @@ class Calibration(Evaluation):
         needed = "parameters must be a list of pydfo.Parameter(name, start, lower, upper)"
         if not isinstance(parameters, (Parameter, Iterable)):
             raise TypeError(f"{needed}, not {_text.show(parameters)}")
+        relations = [constraints] if isinstance(constraints, str) else constraints
         self._parameters = (parameters,) if isinstance(parameters, Parameter) else tuple(parameters)
         for parameter in self._parameters:
             if not isinstance(parameter, Parameter):
@@ -239,7 +245,7 @@ class Calibration(Evaluation):
             for variable, source in experiment.inputs
             if callable(source)
         ]
-        self._native = _core.Calibration(source, experiments, record, list(self._parameters))
+        self._native = _core.Calibration(source, experiments, record, list(self._parameters), _values.names("constraints", relations))
         for warning in self._native.warnings():
             warnings.warn(warning, CalibrationWarning, stacklevel=3)
         if run_in.isolation == "process" and not _worker.has_interpreter:
@@ -322,7 +328,8 @@ class Calibration(Evaluation):
             "cauchy" limit the influence of outliers. Priors always contribute their squares. Cost and rms of the fit
             use the function; `Fit.residuals` returns the plain residuals.
         start : array_like or dict, optional
-            Start that replaces the start values of the parameters.
+            Start that replaces the start values of the parameters. A start outside of the period of a periodic
+            parameter becomes the equivalent one inside.
         initial_simplex : array_like, optional
             Vertices or steps, see `fmin`. Steps of parameters on a log scale are steps of the logarithm.
         rng : int or numpy.random.Generator, optional

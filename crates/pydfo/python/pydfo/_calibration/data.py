@@ -51,7 +51,13 @@ def read(data: Any, needed: list[str], time: str | None, sheet: str | None = Non
         raise BadCalibrationError(f"sheet = {sheet!r} requires a workbook (.xlsx) or the tables of pandas in an HDF5 file (.h5)")
     if not isinstance(data, (str, os.PathLike)):
         columns = _columns(data)
-        return _selected(_data_files.Columns(list(columns), lambda names: columns), needed, time)
+        try:
+            return _selected(_data_files.Columns(list(columns), lambda names: columns), needed, time)
+        except BadCalibrationError as e:
+            wanted = "time" if time is None else time
+            if f"column '{wanted}' not found" not in str(e) or not _has_unnamed_index(data):
+                raise
+            raise BadCalibrationError(f"{e}. If the index contains the times, name it: frame.rename_axis({wanted!r})") from None
     path = os.fspath(data)
     match suffix:
         case ".parquet" | ".pq":
@@ -158,6 +164,12 @@ def _framed(frame: Any) -> dict[str, Any]:
     elif index is not None and seconds(index) is not None or (len(table) == 1 and type(index).__name__ == "Index"):
         table.setdefault("time", index)
     return table
+
+
+def _has_unnamed_index(data: Any) -> bool:
+    """True for a pandas table whose index has no name and does not only count the rows."""
+    index = getattr(data, "index", None)
+    return hasattr(data, "rename_axis") and getattr(index, "name", "") is None and type(index).__name__ == "Index"
 
 
 def _name(label: Any) -> str:

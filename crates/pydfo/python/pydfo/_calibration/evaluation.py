@@ -68,13 +68,18 @@ class Evaluation:
         Returns
         -------
         dict of str to float
-            The values of variables by name, in the units of the model, including tied parameters and parameters that
+            The values of variables by name, in the units of the model, including derived parameters and parameters that
             set several variables.
         """
         names = self.experiments
         if experiment is not None and experiment not in names:
             raise BadCalibrationError(f"unknown experiment '{experiment}'; expected one of: {', '.join(names)}")
         return dict(self._native.model_values(0 if experiment is None else names.index(experiment), self._checked(x)))
+
+    @property
+    def constraints(self) -> list[str]:
+        """Constraints between the parameters, as written."""
+        return self._native.constraints()
 
     def _checked(self, x: npt.ArrayLike | Mapping[str, float] | None) -> list[float]:
         values = self._values(x)
@@ -91,14 +96,14 @@ class Evaluation:
         if x is None or isinstance(x, Mapping):
             values = dict(zip(self.names, self._native.start()))
             given = dict(x or {})
-            tied = {name: given.pop(name) for name, _ in self._native.tied(self._native.start()) if name in given}
+            derived = {name: given.pop(name) for name, _ in self._native.derived(self._native.start()) if name in given}
             for name, value in given.items():
                 if name not in values:
                     raise BadCalibrationError(f"unknown parameter '{name}'; expected one of: {', '.join(values)}")
                 values[name] = _values.number(name, value)
-            for name, expected in self._native.tied(list(values.values())):
-                if name in tied and not np.isclose(_values.number(name, tied[name]), expected, rtol=1e-9, atol=0.0):
-                    raise BadCalibrationError(f"{name} = {tied[name]!r}: the parameter is tied to another parameter, which determines the value {expected!r}")
+            for name, expected in self._native.derived(list(values.values())):
+                if name in derived and not np.isclose(_values.number(name, derived[name]), expected, rtol=1e-9, atol=0.0):
+                    raise BadCalibrationError(f"{name} = {derived[name]!r}: the parameter follows from other parameters, which determine the value {expected!r}")
             return list(values.values())
         return [float(value) for value in _values.vector(argument, x)]
 

@@ -225,6 +225,12 @@ class Experiment:
                 table = _data.read_recording(data, columns + ([] if by is None else [by]), named, chosen)
             except BadCalibrationError as e:
                 turned = [pair for pair in pairs if f"column '{pair[1]}' not" in str(e) and f"'{pair[0]}'" in str(e).partition("available")[2]]
+                unknown = [name for _, _, weight in weighed if isinstance(weight, tuple) and (name := _column_of(weight)) is not None]
+                if coefficients := [name for name in unknown if name.isidentifier() and f"column '{name}' not" in str(e)]:
+                    name = coefficients[0]
+                    raise BadCalibrationError(
+                        f"{e}. sigma '{name}' is the name of a column; write '{name} + 0*abs(y)' for a standard deviation that the fit estimates"
+                    ) from None
                 if not turned:
                     raise
                 variable, column = turned[0]

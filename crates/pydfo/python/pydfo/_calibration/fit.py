@@ -240,7 +240,8 @@ class Fit(OptimizeResult):
         self.stats = fields["stats"] and SimulationStats(**fields["stats"])
         self.stages = [Fit(calibration, stage, np.array(stage._native.start), solver) for stage in fields["stages"]]
         self.findings = [Finding(**finding) for finding in fields["findings"]]
-        self.outputs = [OutputFit(**output) for output in fields["outputs"]]
+        # Other fields are for comparisons of fits.
+        self.outputs = [OutputFit(**{k: v for k, v in output.items() if k in OutputFit._fields}) for output in fields["outputs"]]
         self.preflight = fields["preflight"] and Preflight(fields["preflight"])
         self.uncertainty = fields["uncertainty"] and Uncertainty(fields["uncertainty"])
         self.cov = None if self.uncertainty is None else self.uncertainty.covariance
@@ -252,14 +253,14 @@ class Fit(OptimizeResult):
     def stderr(self) -> NamedArray | None:
         """Standard errors of the parameters; None if there is no `uncertainty`.
 
-        The entries have the names and the order of `parameters`: ``fit.stderr["k"]``. Tied parameters come last. Errors
-        are zero for parameters that are fixed or at a bound, and infinite for parameters that the data do not
-        determine."""
+        The entries have the names and the order of `parameters`: ``fit.stderr["k"]``. Derived and tied parameters come
+        last, with the errors that follow from the covariance of the others. Errors are zero for parameters that are
+        fixed or at a bound, and infinite for parameters that the data do not determine."""
         if self.uncertainty is None:
             return None
         errors = self.uncertainty.stderr.tolist()
-        tied = self._calibration._native.tied_errors(errors)
-        return NamedArray({**dict(zip(self._calibration.names, errors)), **dict(tied)})
+        derived = [] if self._native is None else self._native.derived_errors()
+        return NamedArray({**dict(zip(self._calibration.names, errors)), **dict(derived)})
 
     @property
     def covariance(self) -> FloatArray | None:
@@ -287,9 +288,9 @@ class Fit(OptimizeResult):
 
     @property
     def parameters(self) -> NamedValues:
-        """The fitted values by name. Tied parameters come last. ``np.asarray`` returns them in order."""
+        """The fitted values by name. Derived and tied parameters come last. ``np.asarray`` returns them in order."""
         x = np.asarray(self.x).tolist()
-        return NamedValues({**dict(zip(self._calibration.names, x)), **dict(self._calibration._native.tied(x))})
+        return NamedValues({**dict(zip(self._calibration.names, x)), **dict(self._calibration._native.derived(x))})
 
     @property
     def cost(self) -> float:
@@ -340,7 +341,7 @@ class Fit(OptimizeResult):
         """Fits synthetic measurements, the simulation of this fit plus random errors.
 
         The spread of the fitted values estimates the uncertainty without a linear model. Each fit starts at the fitted
-        values and uses the loss and weights of this fit. Priors and measured initial states do not change.
+        values and uses the objective, loss and weights of this fit. Priors and measured initial states do not change.
 
         Parameters
         ----------
@@ -367,8 +368,8 @@ class Fit(OptimizeResult):
         Raises
         ------
         ValueError
-            The fit did not minimise a sum of squares, there are no more measurements than parameters, or the file
-            contains another bootstrap.
+            The fit minimised neither a sum of squares nor the likelihood, there are no more measurements than
+            parameters, none of the fits succeeds, or the file is damaged or contains another bootstrap.
         Interrupted
             Ctrl-C was pressed. The file contains the completed fits.
         """
@@ -378,12 +379,13 @@ class Fit(OptimizeResult):
         """Compares this fit with a fit of another model to the same measurements.
 
         A smaller information criterion is better. The F test applies to nested models: the smaller model is the
-        larger one with some parameters fixed or tied.
+        larger one with some parameters fixed or derived.
 
         Parameters
         ----------
         other : Fit
-            The other fit, with the same measurements and weights.
+            The other fit, with the same measurements. With other weights, the criteria are those of the likelihood of
+            the measurements.
 
         Returns
         -------

@@ -41,9 +41,12 @@ class Comparison(NamedTuple):
     """Comparison of two fits to the same measurements. ``print`` shows a table."""
 
     goodness: tuple[Goodness, Goodness]
-    """Statistics of the two fits."""
+    """Statistics of the two fits. If they have different weights, or only one of them minimised the likelihood or has
+    known noise, their criteria are those of the likelihood of the measurements, with unknown variances as parameters.
+    The table then states this."""
     f: float | None
-    """F statistic of the additional parameters of the larger model; None if both have the same number."""
+    """F statistic of the additional parameters of the larger model; None if both have the same number, or if the weights
+    differ."""
     p_value: float | None
     """Probability of a larger F if the smaller model is right, for nested models."""
     text: str

@@ -80,7 +80,7 @@ class Parameter:
         Name of a parameter of the model, or of a variable whose start value is fitted, such as a state. With
         `variables`, `delay_of`, `offset_of` or `factor_of`, any name is allowed.
     start : float
-        Start value of the fit, in the model's unit or in `unit`. A tied parameter has no start value.
+        Start value of the fit, in the model's unit or in `unit`. A derived or tied parameter has no start value.
     lower, upper : float, optional
         Bounds; None if there is no bound.
     scale : {"linear", "log"}
@@ -94,7 +94,7 @@ class Parameter:
         always search all of them.
     kind : {"continuous", "integer", "categorical"}
         Values of the parameter: any value, integers, or integers that represent choices. Discrete parameters require
-        "de" (integers) or "ga" (both).
+        "cma-es" or "de" (integers), or "ga" (both).
     fixed : bool
         If True, hold the parameter at `start`.
     periodic : bool
@@ -109,7 +109,8 @@ class Parameter:
         Names of the experiments in which the parameter acts. In the others, its variables keep the value of the
         model, a start value, or the value of another parameter; default: all.
     variables : list of str, optional
-        Variables of the model that the parameter sets, all to one value.
+        Variables of the model that the parameter sets, all to one value. With ``[]``, it sets none and only acts through
+        the formulas of derived parameters. A derived parameter is then only a result.
     delay_of : str, optional
         Compared output or input with this parameter as its delay. ``y(t - tau)`` is compared with the
         measurement at t, with the value at the start for earlier times. An input becomes ``u(t - tau)``. The
@@ -128,6 +129,13 @@ class Parameter:
     across_units : bool
         If True, `factor` has a unit. Otherwise, a tied parameter and the other one must have the same quantity, and
         the same unit if the factor is 1. The check covers units declared by the model.
+    expr : str, optional
+        Formula of a derived parameter over other parameters, such as ``"1 - k1 - k2"``. Its value is not searched.
+        ``fit.parameters`` includes it, and ``fit.stderr`` its standard error, propagated with exact derivatives. Other
+        derived parameters may occur in the formula. A value outside `lower` and `upper` is a failed evaluation. The
+        operators are ``+ - * / **``, the functions sqrt, exp, log, log10, abs, min, max, sin, cos, tan, asin, acos,
+        atan, atan2, sinh, cosh and tanh, the constants pi and e. Names with other characters than letters, digits,
+        ``_``, dots and brackets are quoted: ``"2 * 'my name'"``.
     unit : str, optional
         Unit of start, bounds and results, if it differs from the unit in the model ("kJ/K", "degC"). Values are
         converted for the model.
@@ -141,7 +149,7 @@ class Parameter:
     ------
     ValueError
         Inconsistent numbers: bounds that cross, a start outside the bounds, values that are not positive with a log
-        scale, discrete values that are not integers.
+        scale, discrete values that are not integers. A mistake in `expr`, with its column.
 
     Examples
     --------
@@ -153,6 +161,8 @@ class Parameter:
     Parameter('tau', 0.05, 0.0, 1.0, delay_of='armJoint.phi')
     >>> Parameter("qt.a3", tied_to="outlets", factor=0.5)
     Parameter('qt.a3', tied_to='outlets', factor=0.5)
+    >>> Parameter("k3", expr="1 - k1 - k2", lower=0)
+    Parameter('k3', lower=0.0, expr='1 - k1 - k2')
     """
 
     name: str
@@ -174,6 +184,7 @@ class Parameter:
     factor: float
     offset: float
     across_units: bool
+    expr: str | None
     unit: str | None
     display_name: str | None
     prior: Normal | LogNormal | None
@@ -201,6 +212,7 @@ class Parameter:
         factor: float = 1.0,
         offset: float = 0.0,
         across_units: bool = False,
+        expr: str | None = None,
         unit: str | None = None,
         display_name: str | None = None,
         prior: Normal | LogNormal | None = None,
@@ -229,6 +241,7 @@ class Parameter:
             "factor": factor,
             "offset": offset,
             "across_units": across_units,
+            "expr": expr,
             "unit": unit,
             "display_name": display_name,
             "prior": None if prior is None else prior._record(),
@@ -258,6 +271,9 @@ class Parameter:
             arguments.append(repr(self.start))
             arguments.append("None" if self.lower == -np.inf else repr(self.lower))
             arguments.append("None" if self.upper == np.inf else repr(self.upper))
+        else:
+            bounds = {"lower": self.lower, "upper": self.upper}
+            arguments += [f"{side}={bound!r}" for side, bound in bounds.items() if np.isfinite(bound)]
         for field in fields(self)[4:]:
             value = getattr(self, field.name)
             if value != _DEFAULTS.get(field.name):

@@ -42,6 +42,10 @@ class Profile:
         distance in standard errors: the rise divided by the residual variance of `Uncertainty.covariance`. There is
         one variance for each output. With a robust loss, it is the variance of an M-estimator. It is corrected for
         autocorrelated residuals.
+    factors : dict of str to float
+        The costs divided by the statistic of a single variance, ``(N - p) (cost / minimum - 1)`` with the cost as a sum
+        of squares. It differs from 1 if outputs have separate variances, which are estimated without bias, or if the
+        intervals are corrected for autocorrelated residuals.
     points : dict of str to ndarray, shape (k, n)
         All parameters at these values.
     threshold : float
@@ -68,6 +72,7 @@ class Profile:
     values: dict[str, FloatArray]
     costs: dict[str, FloatArray]
     points: dict[str, FloatArray]
+    factors: dict[str, float]
     level: float
     threshold: float
     degrees_of_freedom: float
@@ -77,7 +82,7 @@ class Profile:
 
     def __init__(self, names: Sequence[str], fields: dict[str, Any], units: dict[str, str]) -> None:
         vars(self).update({name: fields[name] for name in Profile.__annotations__ if name in fields})
-        for name, of_one in (("intervals", "interval"), ("messages", "message"), *((name, name) for name in ("values", "costs", "points"))):
+        for name, of_one in (("intervals", "interval"), ("messages", "message"), ("factors", "factor"), *((name, name) for name in ("values", "costs", "points"))):
             setattr(self, name, {profile["name"]: profile[of_one] for profile in fields["profiles"]})
         self.parameters: dict[str, float] = dict(zip(names, fields["x"].tolist()))
         self.stats = SimulationStats(**fields["stats"])

@@ -165,7 +165,8 @@ class Validation:
 def _validated(fields: dict[str, Any]) -> ValidatedOutput:
     measured, residuals = fields["measured"], fields["residuals"]
     series = {"time": fields["times"], "measured": measured, "simulated": measured + residuals, "residuals": residuals}
-    return ValidatedOutput(**fields["fit"], **series, start_residuals=fields["start_residuals"])
+    of_fit = {name: value for name, value in fields["fit"].items() if name in ValidatedOutput.__dataclass_fields__}
+    return ValidatedOutput(**of_fit, **series, start_residuals=fields["start_residuals"])
 
 
 @dataclass(frozen=True)

@@ -184,7 +184,8 @@ class Futures:
     def __init__(self, fun: Callable[..., Any], executor: Any, takes_cutoff: bool = False, width: int | None = None) -> None:
         returning, self._pieces = _in_pieces(fun, takes_cutoff)
         self._call = Timed(returning)
-        self._overdue, self._executor = (executor.overdue, executor.executor) if isinstance(executor, Resubmit) else (math.inf, executor)
+        self._resubmit: Resubmit | None = executor if isinstance(executor, Resubmit) else None
+        self._executor = executor if self._resubmit is None else self._resubmit.executor
         #: Running tasks of each point: one, or two if the first was overdue.
         self._futures: dict[int, list[concurrent.futures.Future[Any]]] = {}
         self._given_up: set[int] = set()
@@ -212,7 +213,7 @@ class Futures:
         if not self._futures:
             self._silent_since = time.monotonic()
         self._began(number, again())
-        if self._overdue < math.inf:
+        if self._resubmit is not None:
             self._submissions[number] = time.monotonic(), again
 
     def _began(self, number: int, future: concurrent.futures.Future[Any]) -> None:
@@ -272,9 +273,9 @@ class Futures:
 
     def _submit_overdue(self) -> None:
         """Submits the overdue tasks again."""
-        if len(self._durations) < MIN_ANSWERS:
+        if self._resubmit is None:
             return
-        latest = time.monotonic() - self._overdue * self._durations[len(self._durations) // 2]
+        latest = time.monotonic() - self._resubmit.limit(self._durations)
         for number, (begun, again) in list(self._submissions.items()):
             if begun < latest and number not in self._given_up:
                 del self._submissions[number]
@@ -331,9 +332,10 @@ class Resubmit:
     """Executor that submits a task again if it is overdue, and uses the first answer.
 
     Pass it as `workers` in place of the executor. A task is overdue if it has taken `overdue` times as long as the
-    median of the answered tasks, from submission to answer. The rule applies after five answers. Each task is
-    submitted again at most once. This decides only which process computes a point, so the result of a run is the same.
-    ``n_lost`` counts the tasks submitted again.
+    median of the answered tasks, from submission to answer. Until five tasks are answered, the slowest of them takes
+    the place of the median. Before the first answer, a task is overdue after `first_limit`. Each task is submitted again
+    at most once. This decides only which process computes a point, so the result of a run is the same. ``n_lost``
+    counts the tasks submitted again.
 
     Parameters
     ----------
@@ -341,22 +343,35 @@ class Resubmit:
         An object that `workers` accepts, with a method ``submit`` or a Dask client.
     overdue : float
         Multiple of the median time, above 1.
+    first_limit : float, optional
+        Time in s after which a task is overdue while no task has been answered. It should include the start of the
+        workers. Default: no limit, so that a run waits for its first answer.
 
     Raises
     ------
     TypeError
         If `executor` is not an executor.
     ValueError
-        If `overdue` is not a finite number above 1.
+        If `overdue` is not a finite number above 1, or `first_limit` is not positive.
     """
 
-    def __init__(self, executor: Any, overdue: SupportsFloat) -> None:
+    def __init__(self, executor: Any, overdue: SupportsFloat, first_limit: SupportsFloat | None = None) -> None:
         if (found := executor_of(executor)) is None or isinstance(executor, Resubmit):
             raise TypeError(f"executor must have a method submit, or be a Dask client, not {_text.show(executor)}")
         self.executor = found
         self.overdue = _values.number("overdue", overdue)
         if not 1.0 < self.overdue < math.inf:
             raise ValueError(f"overdue must be a finite number above 1, not {_text.show(overdue)}")
+        self.first_limit = None if first_limit is None else _values.number("first_limit", first_limit)
+        if self.first_limit is not None and not self.first_limit > 0.0:
+            raise ValueError(f"first_limit must be a positive time in s, not {_text.show(first_limit)}")
+
+    def limit(self, durations: list[float]) -> float:
+        """Returns the time in s after which a task is overdue, from the ascending times of the answered tasks."""
+        if not durations:
+            return math.inf if self.first_limit is None else self.first_limit
+        typical = durations[-1] if len(durations) < MIN_ANSWERS else durations[len(durations) // 2]
+        return self.overdue * typical
 
 
 def executor_of(workers: Any) -> Any:

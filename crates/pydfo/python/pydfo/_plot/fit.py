@@ -105,6 +105,12 @@ def _draw_output(upper: Axes, lower: Axes, output: Curves) -> None:
         if (response := output[name]) is not None:
             upper.plot(response["times"], np.clip(response["values"], *limits), style, color=colour, linewidth=1.1, label=name)
     lower.axhline(0.0, color="0.6", linewidth=0.6)
+    if (sigma := output["sigma"]) is not None:
+        # One known standard deviation. A measurement with an infinite one is excluded.
+        known = np.isfinite(sigma := np.asarray(sigma))
+        times = measured["times"][known]
+        for axes, values in ((upper, measured["values"]), (lower, residuals)):
+            axes.errorbar(times, values[known], sigma[known], fmt="none", ecolor=MEASURED, elinewidth=0.6, zorder=0)
     lower.plot(measured["times"], residuals, ".", color=FITTED, markersize=size, label="residual")
     unit = f" [{short(measured['unit'])}]" if measured["unit"] else ""
     upper.set_ylabel(unit.strip() or "value")
