@@ -126,6 +126,12 @@ def test_mistakes_are_errors_before_the_first_call(constraints: Any, error: type
         pydfo.minimize(cost, [0.0, 0.0], bounds=BOX, method="de", constraints=constraints)
 
 
+def test_infeasible_constraints_are_no_success() -> None:
+    result = solve(pydfo.NonlinearConstraint(radius, ub=-1), max_evaluations=300)
+    assert not result.success and result.constr_violation >= 1
+    assert "the best point violates a nonlinear constraint by 1" in result.message
+
+
 def test_method_without_support_names_others() -> None:
     with pytest.raises(ValueError, match="barrier does not support nonlinear constraints; use"):
         pydfo.minimize(total, [0.0, 0.0], bounds=BOX, method="barrier", constraints=CIRCLE)

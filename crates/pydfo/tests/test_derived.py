@@ -109,6 +109,9 @@ def test_constraints_hold_at_the_result() -> None:
     fit = dahlquist(K, Parameter("x", 1.0, 0.1, 5.0), constraints=["x + k == 3.4", "x * k <= 20"]).fit()
     assert fit.success and abs(fit.x.sum() - 3.4) < 1e-14 and fit.constr_violation == 0
     assert "conditional on the active constraints 'x + k == 3.4'" in str(fit)
+    assert fit.uncertainty is not None and fit.uncertainty.active_constraints == ["x + k == 3.4"]
+    free = dahlquist(K, Parameter("x", 1.0, 0.1, 5.0), constraints=None).fit()
+    assert free.uncertainty is not None and free.uncertainty.active_constraints == []
     assert fit.stderr is not None and fit.stderr["x"] == pytest.approx(fit.stderr["k"], rel=1e-6)
     assert dahlquist(K, constraints="k <= 5").constraints == ["k <= 5"]
 

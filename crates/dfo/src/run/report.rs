@@ -427,6 +427,13 @@ fn message(
             return format!("{ended}; the last state could not be saved: {reason}");
         }
     };
+    let ended = match ledger.is_feasible() || *termination == Termination::Infeasible {
+        true => ended,
+        false => {
+            let violation = ledger.constraints.violation(&ledger.best_constraints);
+            format!("{ended}; the best point violates a nonlinear constraint by {}", Number(violation))
+        }
+    };
     let message = match (details.roughness, details.handed_over) {
         (Some(roughness), Some((points, method))) => {
             format!("{ended}; switched to {method} after {points} evaluations, because {roughness}")

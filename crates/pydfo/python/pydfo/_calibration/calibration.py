@@ -137,8 +137,9 @@ class Calibration(Evaluation):
         Settings of the single recording, as in `Experiment`.
     constraints : list of str, optional
         Relations between parameters, such as ``["k1 + k2 + k3 == 1", "tau1 <= tau2", "m*g/k <= 0.1"]``, with the formulas of
-        `Parameter` and the comparisons ``==``, ``<=`` and ``>=``. Mistakes and contradictions are errors. **Optimisers do
-        not support constraints yet**, so `fit` raises ValueError. Use a derived parameter (``expr``) for an equality.
+        `Parameter` and the comparisons ``==``, ``<=`` and ``>=``. Mistakes and contradictions are errors. Linear
+        constraints hold at every simulated point of the search. Nonlinear ones may be violated on the way; the result
+        satisfies them within the option ``constraint_tol``, or it is no success.
     simulation : Simulation or dict, optional
         Solver, tolerance, steps and time limit of the simulations, see `Simulation`. Its settings are also accepted
         as arguments: ``solver="bdf"`` is short for ``simulation={"solver": "bdf"}``.
@@ -192,7 +193,7 @@ class Calibration(Evaluation):
         warm_up: SupportsFloat | None = None,
         delays: Mapping[str, SupportsFloat] | None = None,
         hold_inputs: bool | None = None,
-        constraints: Sequence[str] | str = (),
+        constraints: Sequence[str] | str | None = (),
         simulation: Simulation | Mapping[str, Any] | None = None,
         process: Process | Mapping[str, Any] | None = None,
         **settings: Unpack[SimulationKeywords],
@@ -223,7 +224,7 @@ class Calibration(Evaluation):
         needed = "parameters must be a list of pydfo.Parameter(name, start, lower, upper)"
         if not isinstance(parameters, (Parameter, Iterable)):
             raise TypeError(f"{needed}, not {_text.show(parameters)}")
-        relations = [constraints] if isinstance(constraints, str) else constraints
+        relations = [constraints] if isinstance(constraints, str) else constraints or []
         self._parameters = (parameters,) if isinstance(parameters, Parameter) else tuple(parameters)
         for parameter in self._parameters:
             if not isinstance(parameter, Parameter):

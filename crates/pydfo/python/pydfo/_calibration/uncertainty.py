@@ -77,6 +77,8 @@ class Uncertainty:
         Properties of the residuals of each output.
     held : list of str
         Parameters that are fixed, held or at a bound, and therefore assumed known.
+    active_constraints : list of str
+        Constraints that hold with equality at the point. The covariance excludes moves across them.
     undetermined, without_effect : list of str
         Parameters that the data do not determine, and the undetermined parameters that do not change any output.
     confounded : list of (str, str, float)
@@ -110,6 +112,7 @@ class Uncertainty:
     effective_degrees_of_freedom: FloatArray
     degrees_of_freedom: float
     held: list[str]
+    active_constraints: list[str]
     undetermined: list[str]
     without_effect: list[str]
     confounded: list[tuple[str, str, float]]
@@ -127,6 +130,7 @@ class Uncertainty:
         names: list[str] = fields["names"]
         vars(self).update({name: fields[name] for name in Uncertainty.__annotations__ if name in fields})
         self.stderr = fields["standard_errors"]
+        self.active_constraints = fields.get("active_constraints", [])
         for matrix in ("covariance", "correlation", "jacobian"):
             setattr(self, matrix, np.reshape(fields[matrix], (-1, len(names))))
         for list_of_names in ("held", "undetermined", "without_effect", "weakest", "identifiable"):
