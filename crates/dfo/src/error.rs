@@ -151,7 +151,7 @@ pub enum Error {
     /// The limits of a constraint are NaN, contradict each other or exclude every number.
     #[error("{kind} constraint {index}: no number is between its limits {lower} and {upper}", lower = Number(*.lower), upper = Number(*.upper))]
     ConstraintLimits {
-        /// `"linear"` or `"nonlinear"`.
+        /// `"linear"`, `"nonlinear"` or `"nonlinear equality"`.
         kind: &'static str,
         /// Constraint, counted from 0.
         index: usize,
@@ -435,6 +435,8 @@ impl Error {
 pub struct NothingFound {
     /// Evaluations made.
     pub n_evaluations: usize,
+    /// Number of points whose cost was not evaluated, because a constraint is violated.
+    pub n_infeasible: usize,
     /// Reasons of the failures with their counts, most frequent first.
     pub failures: Vec<(String, usize)>,
     /// The first point that failed, if any.
@@ -445,12 +447,17 @@ pub struct NothingFound {
 
 impl fmt::Display for NothingFound {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} evaluations, ", self.n_evaluations)?;
+        if self.n_infeasible > 0 {
+            let n = self.n_infeasible;
+            write!(f, "{n} without a cost because they violate a constraint with keep_feasible, ")?;
+        }
         if self.failures.is_empty() {
-            return write!(f, "{} evaluations, none failed", self.n_evaluations);
+            return f.write_str("none failed");
         }
         const SHOWN: usize = 5;
         let failed: usize = self.failures.iter().map(|(_, count)| count).sum();
-        write!(f, "{} evaluations, {failed} failed: ", self.n_evaluations)?;
+        write!(f, "{failed} failed: ")?;
         for (k, (reason, count)) in self.failures.iter().take(SHOWN).enumerate() {
             write!(f, "{}{count} x {reason}", if k > 0 { ", " } else { "" })?;
         }

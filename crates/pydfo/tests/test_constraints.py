@@ -45,7 +45,7 @@ def test_scipys_own_classes_are_accepted() -> None:
     assert result.success and abs(result.fun + np.sqrt(1.75)) < 1e-3
     assert np.all(np.abs(result.trace.x @ [1, -1] - 0.5) < 1e-14)
     equality = {"type": "eq", "fun": lambda x: x[0] - x[1]}
-    method = pydfo.scipy_method("de", rng=3, max_evaluations=3000)
+    method = pydfo.scipy_method("quadratic-model")
     again = optimize.minimize(total, [0, 0], method=method, bounds=BOX, constraints=[equality])
     assert abs(again.x[0] - again.x[1]) <= 1e-6 and again.fun < -3.9
 
@@ -124,6 +124,90 @@ def test_mistakes_are_errors_before_the_first_call(constraints: Any, error: type
 
     with pytest.raises(error, match=message):
         pydfo.minimize(cost, [0.0, 0.0], bounds=BOX, method="de", constraints=constraints)
+
+
+def test_nonlinear_equalities_are_rejected_by_populations() -> None:
+    equality = pydfo.NonlinearConstraint(radius, 1, 1)
+    for method in ("de", "ga"):
+        with pytest.raises(ValueError, match="does not support nonlinear equality constraints; use quadratic-model"):
+            pydfo.minimize(total, bounds=BOX, method=method, constraints=equality)
+    result = pydfo.minimize(total, bounds=BOX, search="global", rng=1, constraints=equality)
+    assert result.constr_violation <= 1e-6 and result.method == "multistart" and abs(result.fun + np.sqrt(2)) < 1e-4
+
+
+def test_all_parameters_may_be_fixed() -> None:
+    result = pydfo.minimize(lambda x: x @ x, [2, 3], bounds=[(2, 2), (3, 3)], constraints=pydfo.NonlinearConstraint(radius, ub=20))
+    assert result.success and result.fun == 13
+
+
+def test_functions_cannot_change_the_point() -> None:
+    def spoiling(x: np.ndarray) -> float:
+        value = radius(x)
+        x[:] = 7.0
+        return value
+
+    spoiled = pydfo.NonlinearConstraint(spoiling, ub=1)
+    reference = solve(CIRCLE, max_evaluations=300)
+    assert np.array_equal(solve([spoiled, spoiled], max_evaluations=300).x, reference.x)
+    run = pydfo.minimize(lambda x: x[0] + x[1], bounds=BOX, method="de", rng=3, constraints=spoiled, max_evaluations=300, vectorized=True)
+    assert np.array_equal(run.x, reference.x)
+    optimizer = pydfo.Optimizer("de", bounds=BOX, rng=3, max_evaluations=300, constraints=CIRCLE)
+    while not optimizer.done:
+        ids, points, _ = optimizer.ask()
+        costs = [total(x) for x in points]
+        points[:] = 7.0
+        optimizer.tell(ids, costs)
+    assert np.array_equal(optimizer.report().x, reference.x)
+
+
+def test_told_constraint_values_must_fit_the_run() -> None:
+    optimizer = pydfo.Optimizer("de", bounds=BOX, rng=3)
+    ids, points, _ = optimizer.ask(1)
+    with pytest.raises(ValueError, match="no nonlinear constraints"):
+        optimizer.tell(ids, [total(points[0])], [[1.0]])
+    optimizer = pydfo.Optimizer("de", bounds=BOX, rng=3, constraints=CIRCLE)
+    ids, points, _ = optimizer.ask(1)
+    with pytest.raises(ValueError, match="got 2 constraint values of a point; expected 1"):
+        optimizer.tell(ids, [total(points[0])], [[1.0, 2.0]])
+
+
+def test_told_points_outside_a_kept_constraint_have_no_cost() -> None:
+    kept = pydfo.NonlinearConstraint(radius, ub=1, keep_feasible=True)
+    reference = solve(kept, max_evaluations=300)
+    optimizer = pydfo.Optimizer("de", bounds=BOX, rng=3, max_evaluations=300, constraints=kept)
+    while not optimizer.done:
+        ids, points, _ = optimizer.ask()
+        optimizer.tell(ids, [total(x) for x in points])
+    report = optimizer.report()
+    assert np.array_equal(report.x, reference.x)
+    assert report.n_infeasible == reference.n_infeasible > 0 and report.nfail == 0
+
+
+def test_exception_in_a_vectorized_run_belongs_to_its_point() -> None:
+    def partial(x: np.ndarray) -> float:
+        if x[0] > 1.5:
+            raise ZeroDivisionError("no value")
+        return radius(x)
+
+    def run(on_error: str) -> pydfo.OptimizeResult:
+        constraint = pydfo.NonlinearConstraint(partial, ub=1)
+        return pydfo.minimize(
+            lambda x: x[0] + x[1], bounds=BOX, method="de", rng=3, constraints=constraint, max_evaluations=300, vectorized=True, on_error=on_error
+        )
+
+    result = run("fail")
+    assert 0 < result.nfail < 150 and result.failures == {"ZeroDivisionError: no value": result.nfail} and result.fun < -1.3
+    with pytest.raises(ZeroDivisionError, match="no value"):
+        run("raise")
+
+
+def test_warm_start_computes_constraint_values() -> None:
+    first = pydfo.minimize(total, [0.0, 0.0], bounds=BOX, constraints=CIRCLE)
+    again = pydfo.minimize(total, [1.5, 1.5], bounds=BOX, constraints=CIRCLE, options={"warm_start": first})
+    assert again.success and abs(again.fun - first.fun) < 1e-6 and again.nfev < first.nfev + 5
+    points = ([[-0.7, -0.7], [-2.0, -2.0]], [-1.4, -4.0])
+    again = pydfo.minimize(total, [1.5, 1.5], bounds=BOX, constraints=CIRCLE, options={"warm_start": points}, max_evaluations=1)
+    assert np.array_equal(again.x, [-0.7, -0.7])
 
 
 def test_infeasible_constraints_are_no_success() -> None:

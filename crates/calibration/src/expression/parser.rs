@@ -55,6 +55,11 @@ impl<'t> Parser<'t> {
         Ok(Self { text, words, at: 0, depth: 0, made: empty(text) })
     }
 
+    /// Returns the column of the next word.
+    pub(super) fn column(&self) -> usize {
+        self.words.get(self.at).map_or(1, |word| word.column)
+    }
+
     /// Parses a sum as a separate expression, whose columns are those of the whole text.
     pub(super) fn sum_of_its_own(&mut self) -> Result<Expression, ExpressionError> {
         let (first, start) = (self.at, empty(self.text));

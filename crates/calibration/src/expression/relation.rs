@@ -106,8 +106,7 @@ impl Relation {
 
 fn compared(left: &Expression, comparison: &str, right: &Expression) -> Inequality {
     let text = format!("{} {comparison} {}", left.text, right.text);
-    let number =
-        |side: &Expression| side.names.is_empty().then(|| side.value(&[])).filter(|value| !value.is_nan());
+    let number = |side: &Expression| side.names.is_empty().then(|| side.value(&[]));
     // Limits of the left side minus the right side.
     let (low, high) = match comparison {
         "==" => (0.0, 0.0),
@@ -142,16 +141,29 @@ fn difference(left: &Expression, right: &Expression) -> Expression {
     made
 }
 
+/// Parses a side. A side without names must have a finite value.
+fn side(parser: &mut Parser<'_>, text: &str) -> Result<Expression, ExpressionError> {
+    let column = parser.column();
+    let side = parser.sum_of_its_own()?;
+    match side.names.is_empty().then(|| side.value(&[])).filter(|value| !value.is_finite()) {
+        Some(value) => {
+            let message = format!("'{}' is {value}, but a constant side must be finite", side.text);
+            Err(ExpressionError::new(text, column, message))
+        }
+        None => Ok(side),
+    }
+}
+
 impl FromStr for Relation {
     type Err = ExpressionError;
 
     fn from_str(text: &str) -> Result<Self, ExpressionError> {
         let mut parser = Parser::new(text)?;
-        let mut sides = vec![parser.sum_of_its_own()?];
+        let mut sides = vec![side(&mut parser, text)?];
         let mut comparisons = Vec::new();
         while let Some(comparison) = parser.comparison() {
             comparisons.push(comparison);
-            sides.push(parser.sum_of_its_own()?);
+            sides.push(side(&mut parser, text)?);
         }
         match parser.next() {
             Some(word) => Err(parser.unexpected(&word)),
@@ -241,6 +253,8 @@ mod tests {
             ("(a <= b)", 4, "expected an operator"),
             ("<= b", 1, "expected a number, a name"),
             ("a =< b", 3, "Write =="),
+            ("a <= 1/0", 6, "'1/0' is inf, but a constant side must be finite"),
+            ("log(-1) < a", 1, "is NaN"),
         ] {
             let error = text.parse::<Relation>().unwrap_err();
             assert_eq!(error.column, column, "{text}: {error}");

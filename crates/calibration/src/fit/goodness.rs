@@ -26,7 +26,8 @@ use std::fmt;
 pub struct Goodness {
     /// Number of measurements N that count.
     pub ndata: usize,
-    /// Number of fitted parameters k, including parameters at a bound.
+    /// Number of fitted parameters k, including parameters at a bound, minus the number of equalities between
+    /// them.
     pub nvarys: usize,
     /// Degrees of freedom: `ndata - nvarys`.
     pub nfree: usize,
@@ -104,7 +105,7 @@ impl Fit {
             let held = self.uncertainty.as_ref().map_or(&[][..], |uncertainty| &uncertainty.held);
             self.bounds[*i].0 == self.bounds[*i].1 || (held.contains(i) && !is_at_bound(i))
         };
-        let nvarys = (0..self.x.len()).filter(|i| !is_held(i)).count();
+        let nvarys = (0..self.x.len()).filter(|i| !is_held(i)).count().saturating_sub(self.n_equalities);
         let chisqr = self.rms * self.rms * self.n_measurements as f64;
         let is_noise_known = self.noise.as_ref().is_some_and(FitNoise::is_known);
         let models = self.models();

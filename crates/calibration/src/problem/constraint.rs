@@ -7,6 +7,7 @@ use crate::problem::derived::{Argument, Derivation, composed, entry, inputs};
 use crate::problem::warning::SetupWarning;
 use base::Number;
 use dfo::{LinearConstraint, NonlinearConstraint};
+use nalgebra::{DMatrix, DVector};
 
 /// Linear constraints of a search: `lower <= a x <= upper`, row by row.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -18,6 +19,9 @@ pub struct LinearRows {
     /// Largest values, or `inf`. They equal the smallest ones for equalities.
     pub upper: Vec<f64>,
 }
+
+/// Singular value of equalities, with gradients of length 1, below which one depends on the others.
+const DEPENDENT: f64 = 1e-10;
 
 /// Constraints of a calibration over the entries of `x`, in the user's units.
 #[derive(Debug, Default)]
@@ -195,6 +199,19 @@ impl Constraints {
                 .collect(),
             tolerance,
         }
+    }
+
+    /// Returns the number of independent equalities over these entries of `x`, linearised at `x`.
+    pub(crate) fn n_equalities(&self, x: &[f64], free: &[usize]) -> usize {
+        let sizes: Vec<f64> = x.iter().map(|x| if *x == 0.0 { 1.0 } else { x.abs() }).collect();
+        let equalities = self.rows.iter().filter(|row| row.lower == row.upper);
+        let gradients = equalities.filter_map(|row| row.around(x, &sizes, &self.derivations));
+        let columns = gradients.filter_map(|nearby| {
+            let scaled = free.iter().map(|&i| nearby.gradient[i] * sizes[i]);
+            DVector::from_iterator(free.len(), scaled).try_normalize(0.0)
+        });
+        let columns: Vec<DVector<f64>> = columns.collect();
+        if columns.is_empty() { 0 } else { DMatrix::from_columns(&columns).rank(DEPENDENT) }
     }
 
     /// Returns the first equality, as written.

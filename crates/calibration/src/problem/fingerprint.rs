@@ -2,6 +2,7 @@
 //! rejected checkpoint can report the difference.
 
 use crate::error::CalibrationError;
+use crate::expression::Relation;
 use crate::problem::definition::Problem;
 use crate::problem::experiment::{Experiment, InitialState};
 use crate::problem::input::{InputSource, Signal};
@@ -19,7 +20,7 @@ const WITHOUT_EFFECT: [&str; 7] =
 const LONGEST: usize = 8;
 
 /// Returns the names and values of everything that the costs of a problem depend on, except the bounds and
-/// starts of its parameters.
+/// starts of its parameters. Also contains the constraints, because a stored search depends on them.
 pub(crate) fn identity(
     problem: &Problem,
     parameters: &[Parameter],
@@ -42,6 +43,10 @@ pub(crate) fn identity(
                 || value == "none" && name.starts_with("expr "))
         };
         all.extend(own.into_iter().filter(is_older));
+    }
+    if !problem.constraints.is_empty() {
+        let texts: Vec<&str> = problem.constraints.iter().map(Relation::text).collect();
+        all.push(("constraints".to_owned(), texts.join("; ")));
     }
     for (k, experiment) in problem.experiments.iter().enumerate() {
         all.push((format!("data of experiment {k}"), experiment.data.hash()));

@@ -32,8 +32,8 @@ pub struct DerivedValue {
 impl DerivedValue {
     /// Returns the standard error `sqrt(g' C g)` with the partial derivatives g and the covariance C of the
     /// parameters (propagation of errors: Bard, Nonlinear Parameter Estimation, 1974, section 7.5). It is
-    /// zero if all parameters of the formula are fixed or at a bound, and infinite if one of them is not
-    /// determined.
+    /// zero if all parameters of the formula are fixed or at a bound, infinite if one of them is not
+    /// determined, and NaN if one of their errors is undefined.
     pub fn standard_error(&self, uncertainty: &Uncertainty) -> f64 {
         self.error(&uncertainty.standard_errors, &uncertainty.covariance)
     }
@@ -57,8 +57,9 @@ impl DerivedValue {
                     let row = used.iter().map(|&j| covariance[i * n + j] * self.slopes[j]);
                     self.slopes[i] * row.sum::<f64>()
                 };
-                // The sum of a singular covariance may be slightly negative because of rounding.
-                used.iter().map(of).sum::<f64>().max(0.0).sqrt()
+                // The sum of a singular covariance may be slightly negative because of rounding. NaN stays NaN.
+                let variance = used.iter().map(of).sum::<f64>();
+                if variance < 0.0 { 0.0 } else { variance.sqrt() }
             }
         }
     }

@@ -4,7 +4,7 @@ use calibration::{
     Calibration, CalibrationBuilder, Data, Experiment, Fit, FitOptions, Parameter, PosteriorOptions,
     ProfileOptions, RunContext,
 };
-use dfo::{AnyMethod, QuadraticModel, RunOptions};
+use dfo::{AnyMethod, Checkpoint, QuadraticModel, RunOptions};
 use example_models::example_fmu;
 use fmi::{Fmu, RunSettings};
 
@@ -148,4 +148,39 @@ fn contradictions_and_unsupported_methods_are_named() {
     let options = RunOptions { method: "barrier".parse().unwrap(), ..FitOptions::default_run() };
     let error = builder(&["x <= k"]).build().unwrap().fit(options).unwrap_err().to_string();
     assert!(error.contains("barrier does not support linear constraints; use"), "{error}");
+}
+
+/// The limits of both fits are equal, so only the formulas differ.
+#[test]
+fn checkpoint_of_a_fit_with_other_constraints_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |constraint: &str| {
+        let checkpoint = Some(Checkpoint::new(folder.path().join("fit")));
+        let options = RunOptions { checkpoint, ..FitOptions::default_run() };
+        builder(&[constraint]).build().unwrap().fit(options)
+    };
+    run("x * k <= 2.9").unwrap();
+    let error = run("x * sqrt(k) <= 2.9").unwrap_err().to_string();
+    assert!(error.contains("constraints") && error.contains("x * sqrt(k) <= 2.9"), "{error}");
+}
+
+#[test]
+fn goodness_counts_independent_equalities() {
+    for (constraints, nvarys) in
+        [(&[][..], 2), (&["x <= k"], 2), (&["x + k == 3.4"], 1), (&["x + k == 3.4", "2*x + 2*k == 6.8"], 1)]
+    {
+        let (_, fit) = fitted(constraints, None);
+        let goodness = fit.goodness();
+        assert_eq!((goodness.nvarys, goodness.nfree), (nvarys, TIMES - nvarys), "{constraints:?}");
+    }
+}
+
+#[test]
+fn profile_refits_within_nonlinear_constraints() {
+    let (calibration, fit) = fitted(&["x * k <= 2.9"], None);
+    let profile = calibration.profile(&fit, &ProfileOptions::default(), &RunContext::new()).unwrap();
+    for of in &profile.parameters {
+        assert!(of.points.len() > 4, "{of:?}");
+        assert!(of.points.iter().all(|point| point.x[0] * point.x[1] <= 2.9 + 2e-6), "{of:?}");
+    }
 }

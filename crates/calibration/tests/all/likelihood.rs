@@ -397,6 +397,7 @@ fn likelihood_resumes_and_runs_in_parallel_with_the_same_bits() {
                 cost: e.outcome.value()?,
                 x,
                 residuals,
+                constraints: Vec::new(),
                 problem: fit.report.trace.problem().map(str::to_owned),
             })
         };

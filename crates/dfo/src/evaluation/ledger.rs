@@ -67,6 +67,9 @@ pub(crate) struct Ledger {
     pub(crate) best_residuals: Vec<f64>,
     pub(crate) n_evaluations: usize,
     pub(crate) n_failed: usize,
+    /// Number of points whose cost was not evaluated, because a constraint is violated.
+    #[serde(default)]
+    pub(crate) n_infeasible: usize,
     /// Number of answers that the engine lost.
     #[serde(default)]
     pub(crate) n_lost: usize,
@@ -97,6 +100,7 @@ impl Ledger {
             best_residuals: Vec::new(),
             n_evaluations: 0,
             n_failed: 0,
+            n_infeasible: 0,
             n_lost: 0,
             n_cached: 0,
             n_batches: 0,
@@ -173,16 +177,12 @@ impl Ledger {
         let outcome = &answer.outcome;
         if let Outcome::Failed(Failure { kind, message }) = outcome
             && kind.is_of_point()
-            && *kind != FailureKind::Infeasible
         {
-            self.n_failed += 1;
-            self.first_failure.get_or_insert_with(|| batch.point(k).to_vec());
-            if let Some((_, count)) = self.failures.iter_mut().find(|(m, _)| m == message) {
-                *count += 1;
-            } else if self.failures.len() < MAX_REASONS {
-                self.failures.push((message.clone(), 1));
+            if *kind == FailureKind::Infeasible {
+                self.n_infeasible += 1;
             } else {
-                self.other_failures += 1;
+                self.n_failed += 1;
+                self.count_failure(batch.point(k), message);
             }
         }
         let record = Record {
@@ -196,6 +196,18 @@ impl Ledger {
             constraints: answer.constraints.clone(),
         };
         self.trace.push(batch.point(k), record);
+    }
+
+    /// Counts the reason of a failure.
+    fn count_failure(&mut self, x: &[f64], message: &str) {
+        self.first_failure.get_or_insert_with(|| x.to_vec());
+        if let Some((_, count)) = self.failures.iter_mut().find(|(m, _)| m == message) {
+            *count += 1;
+        } else if self.failures.len() < MAX_REASONS {
+            self.failures.push((message.to_owned(), 1));
+        } else {
+            self.other_failures += 1;
+        }
     }
 
     /// Returns the number of evaluations that the path has not reached.
@@ -242,6 +254,7 @@ impl Ledger {
     pub(crate) fn nothing_found(&self) -> Box<NothingFound> {
         Box::new(NothingFound {
             n_evaluations: self.n_evaluations,
+            n_infeasible: self.n_infeasible,
             failures: self.failures(),
             x: self.first_failure.clone(),
             trace: self.trace.clone(),
@@ -252,6 +265,7 @@ impl Ledger {
     pub(crate) fn is_sound(&self, n: usize) -> bool {
         self.trace.is_sound(n)
             && self.best.is_sound(n)
+            && self.best_rank >= 0.0
             && self.n_reached <= self.n_early
             && self.n_guessed < 1 << 60
     }

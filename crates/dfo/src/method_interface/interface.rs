@@ -378,6 +378,8 @@ pub struct ProblemClass<'a> {
     pub linear: bool,
     /// True if there are nonlinear constraints.
     pub nonlinear: bool,
+    /// True if there are nonlinear equalities.
+    pub equalities: bool,
 }
 
 impl ProblemClass<'_> {
@@ -430,6 +432,11 @@ pub trait MethodOptions {
     /// True if the method searches for points that satisfy nonlinear constraints.
     fn supports_nonlinear(&self) -> bool {
         false
+    }
+
+    /// True if the method also finds points that satisfy nonlinear equalities of continuous parameters.
+    fn supports_equalities(&self) -> bool {
+        self.supports_nonlinear()
     }
 
     /// True if the method requires a start point. Other methods use the middle of the box if no start point

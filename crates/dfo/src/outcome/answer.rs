@@ -284,14 +284,23 @@ impl Answers {
         &self.constraints[k * self.n_constraints..(k + 1) * self.n_constraints]
     }
 
-    /// Sets the constraint values of the last point. All points have the same number of values.
+    /// Sets the constraint values of the last point. All points get the largest number of values; missing
+    /// values are NaN.
     pub fn set_constraints(&mut self, values: &[f64]) {
-        if self.n_constraints == 0 {
-            self.n_constraints = values.len();
+        let (before, len) = (self.n_constraints, self.outcomes.len());
+        if len == 0 {
+            return;
         }
-        self.constraints.resize((self.outcomes.len().max(1) - 1) * self.n_constraints, f64::NAN);
-        self.constraints.extend(values.iter().take(self.n_constraints));
-        self.constraints.resize(self.outcomes.len() * self.n_constraints, f64::NAN);
+        if values.len() > before {
+            let mut wider = vec![f64::NAN; len * values.len()];
+            for k in 0..len {
+                wider[k * values.len()..][..before].copy_from_slice(self.constraints(k));
+            }
+            (self.constraints, self.n_constraints) = (wider, values.len());
+        }
+        let row = &mut self.constraints[(len - 1) * self.n_constraints..];
+        row.fill(f64::NAN);
+        row[..values.len()].copy_from_slice(values);
     }
 
     /// Adds a copy of point `k` of other answers.
@@ -440,6 +449,18 @@ mod tests {
         assert_eq!(check(&[1.0, 0.0]), Outcome::Value(1.0));
         let Outcome::Failed(failure) = check(&[1.0, f64::NAN]) else { panic!() };
         assert_eq!((failure.kind, &failure.message[..]), (FailureKind::NotFinite, "residual 1 is NaN"));
+    }
+
+    #[test]
+    fn constraint_values_of_a_batch_stay_separate() {
+        let mut answers = Answers::default();
+        answers.set_constraints(&[1.0]);
+        for values in [&[][..], &[1.0], &[2.0, 3.0], &[], &[4.0, 5.0]] {
+            answers.push(Outcome::failed("no"), &[]);
+            answers.set_constraints(values);
+        }
+        let rows: Vec<String> = (0..5).map(|k| format!("{:?}", answers.constraints(k))).collect();
+        assert_eq!(rows, ["[NaN, NaN]", "[1.0, NaN]", "[2.0, 3.0]", "[NaN, NaN]", "[4.0, 5.0]"]);
     }
 
     #[test]

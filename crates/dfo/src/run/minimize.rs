@@ -390,6 +390,8 @@ impl<'a, M, D> Minimize<'a, M, D> {
     /// Starts from the points of an earlier run. Points outside the box and points with other values of the
     /// fixed parameters are left out. Points that failed or were abandoned above a cutoff are also left out.
     /// The best remaining point is the start point, and populations begin with the best remaining points.
+    /// With nonlinear constraints, points without the values of all constraints are left out, and feasible
+    /// points rank first.
     ///
     /// If both runs have the same [`problem`](Self::problem), none of these points is evaluated again.
     /// Otherwise, their costs only determine where to start.
@@ -397,7 +399,8 @@ impl<'a, M, D> Minimize<'a, M, D> {
         let problem = trace.problem().map(str::to_owned);
         let point_of = |e: TraceEntry<'_>| {
             let (cost, residuals) = (e.outcome.value()?, e.residuals.to_vec());
-            Some(EvaluatedPoint { x: e.x.to_vec(), cost, residuals, problem: problem.clone() })
+            let (x, constraints) = (e.x.to_vec(), e.constraints.to_vec());
+            Some(EvaluatedPoint { x, cost, residuals, constraints, problem: problem.clone() })
         };
         self.evaluated_points(trace.iter().filter_map(point_of))
     }

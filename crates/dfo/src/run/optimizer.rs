@@ -114,7 +114,8 @@ impl Optimizer {
 
     /// Answers a point with its outcome, and with its residuals if they are requested. [`Outcome::Skipped`]
     /// and cancelled evaluations return the point, which is handed out again if it is still needed.
-    /// [`Outcome::Abort`] ends the run. After the end, answers have no effect.
+    /// [`Outcome::Abort`] ends the run. After the end, answers have no effect. If a constraint forbids the
+    /// evaluation of the point, only its constraint values count.
     ///
     /// # Errors
     /// Returns an error if the id was not handed out or was already answered. Also returns an error if a
@@ -143,6 +144,11 @@ impl Optimizer {
             Outcome::Skipped => Outcome::Skipped,
             other => other.checked(handed.query.cutoff),
         };
+        let constraints = &self.drive.round.ledger.constraints;
+        let are_complete = answer.constraints.len() == constraints.nonlinear.len();
+        if are_complete && answer.outcome.is_conclusive() && constraints.forbids(&answer.constraints) {
+            answer.outcome = Outcome::infeasible();
+        }
         // An abort of a speculative point does not end the run until the path needs the point.
         let is_final = answer.outcome.is_conclusive() || matches!(answer.outcome, Outcome::Abort(_));
         let ends = matches!(answer.outcome, Outcome::Abort(_)) && id < FIRST_ID;

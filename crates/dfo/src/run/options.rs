@@ -19,6 +19,10 @@ pub struct EvaluatedPoint {
     pub cost: f64,
     /// Its residuals; empty if unknown.
     pub residuals: Vec<f64>,
+    /// Values of the nonlinear constraints. A run with another number of nonlinear constraints does not use
+    /// the point.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub constraints: Vec<f64>,
     /// Identity of the problem that the cost belongs to. If it differs from the identity of the run, or is
     /// `None`, the point is only used as a start.
     pub problem: Option<String>,

@@ -49,6 +49,10 @@ pub struct Report {
     pub n_batches: usize,
     /// Number of failed evaluations of the path.
     pub n_failed: usize,
+    /// Number of points of the path whose cost was not evaluated, because they violate a constraint that must
+    /// be kept. They are not failures.
+    #[serde(default)]
+    pub n_infeasible: usize,
     /// Number of answers that the engine lost, for example because a machine or a connection failed. Their
     /// points were evaluated again and count once.
     #[serde(default)]
@@ -145,6 +149,7 @@ impl Report {
             n_iterations: 0,
             n_batches: 0,
             n_failed: found.failures.iter().map(|(_, count)| count).sum(),
+            n_infeasible: 0,
             n_lost: 0,
             n_cached: 0,
             n_speculative: 0,
@@ -250,6 +255,10 @@ impl fmt::Display for Report {
         writeln!(f, "  iterations   {}", self.n_iterations)?;
         write!(f, "  evaluations  {} in {} batches", self.n_evaluations, self.n_batches)?;
         writeln!(f, " ({} failed, {} speculative)", self.n_failed, self.n_speculative)?;
+        if self.n_infeasible > 0 {
+            let n = self.n_infeasible;
+            writeln!(f, "  infeasible   {n} points, whose cost was not evaluated")?;
+        }
         if self.n_lost > 0 {
             writeln!(
                 f,
@@ -307,6 +316,7 @@ pub(crate) fn conclude(
         n_iterations: details.n_iterations,
         n_batches: ledger.n_batches,
         n_failed: ledger.n_failed,
+        n_infeasible: ledger.n_infeasible,
         n_lost: ledger.n_lost,
         n_cached: ledger.n_cached,
         n_speculative: ledger.n_speculative(),

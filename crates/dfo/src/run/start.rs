@@ -66,13 +66,21 @@ impl<M: MethodOptions> Description<M> {
         let bounds = self.bounds.as_ref().unwrap_or(&unbounded);
         let (lower, upper) = (bounds.lower(), bounds.upper());
         // Fixed parameters do not affect the choice.
-        let is_free = |i: &usize| lower.get(*i) != upper.get(*i);
-        let kinds: Vec<ParameterKind> =
-            (0..self.kinds.len()).filter(is_free).map(|i| self.kinds[i]).collect();
+        let kind = |(i, kind): (usize, &ParameterKind)| {
+            if lower.get(i) == upper.get(i) { ParameterKind::Continuous } else { *kind }
+        };
+        let kinds: Vec<ParameterKind> = self.kinds.iter().enumerate().map(kind).collect();
         let constraints = &self.options.constraints;
-        let (linear, nonlinear) = (!constraints.linear.is_empty(), !constraints.nonlinear.is_empty());
-        let search = Search::Local;
-        let class = ProblemClass { lower, upper, kinds: &kinds, residuals, search, linear, nonlinear };
+        let class = ProblemClass {
+            lower,
+            upper,
+            kinds: &kinds,
+            residuals,
+            search: Search::Local,
+            linear: !constraints.linear.is_empty(),
+            nonlinear: !constraints.nonlinear.is_empty(),
+            equalities: constraints.has_equalities(),
+        };
         self.options.choose(&class)
     }
 
@@ -108,7 +116,7 @@ impl<M: MethodOptions> Description<M> {
             let (evaluations, iterations) = method.default_limits(space.n_free());
             limits.fill(evaluations, iterations);
         }
-        let prior = usable(&options.evaluated, &space);
+        let prior = usable(&options.evaluated, &space, &options.constraints);
         let is_inside = |x: &[f64]| !method.starts_inside() || space.is_inside(x);
         let best = prior.iter().find(|point| is_inside(&point.x)).map(|point| point.x.clone());
         let start_given = start_given || best.is_some();
@@ -133,8 +141,9 @@ impl<M: MethodOptions> Description<M> {
         let mut store = Store::new(capacity);
         // A cost without a problem identity does not belong to any problem.
         let belongs = |point: &&EvaluatedPoint| options.problem.is_some() && point.problem == options.problem;
-        for EvaluatedPoint { x, cost, residuals, .. } in prior.iter().copied().filter(belongs) {
-            store.pin(x, Answer { residuals: residuals.clone(), ..Outcome::Value(*cost).into() });
+        for EvaluatedPoint { x, cost, residuals, constraints, .. } in prior.iter().copied().filter(belongs) {
+            let (residuals, constraints) = (residuals.clone(), constraints.clone());
+            store.pin(x, Answer { residuals, constraints, ..Outcome::Value(*cost).into() });
         }
         let mut started = StartedRun {
             method: BoxedMethod::new(begin(method, &setup, &options.constraints)?),
@@ -184,7 +193,8 @@ impl<M: MethodOptions> Description<M> {
 
 /// Methods that support each kind of constraints, for messages.
 const FOR_LINEAR: &str = "least-squares, quadratic-model, cma-es, de, ga, nelder-mead or pattern-search";
-const FOR_NONLINEAR: &str = "quadratic-model, cma-es, de or ga";
+const FOR_NONLINEAR: &str = "quadratic-model, cma-es, de, ga or multistart";
+const FOR_EQUALITIES: &str = "quadratic-model, cma-es or multistart";
 
 /// Starts a method that supports the constraints.
 fn begin<M: MethodOptions>(
@@ -201,21 +211,37 @@ fn begin<M: MethodOptions>(
     if !constraints.nonlinear.is_empty() && !options.supports_nonlinear() {
         return unsupported("nonlinear", FOR_NONLINEAR);
     }
+    // Populations of discrete points can satisfy equalities.
+    let space = &setup.space;
+    let has_continuous = (0..space.n_free()).any(|k| space.kind(k) == ParameterKind::Continuous);
+    if constraints.has_equalities() && has_continuous && !options.supports_equalities() {
+        return unsupported("nonlinear equality", FOR_EQUALITIES);
+    }
     Ok(method)
 }
 
-/// Returns the points of earlier runs that are in this space, without duplicates, lowest cost first.
-fn usable<'a>(evaluated: &'a [EvaluatedPoint], space: &Space) -> Vec<&'a EvaluatedPoint> {
+/// Returns the points of earlier runs that are in this space and have the values of all nonlinear
+/// constraints, without duplicates, best first.
+fn usable<'a>(
+    evaluated: &'a [EvaluatedPoint],
+    space: &Space,
+    constraints: &Constraints,
+) -> Vec<&'a EvaluatedPoint> {
     let discrete: Vec<usize> = (0..space.n_free())
         .filter(|&k| space.kind(k) != ParameterKind::Continuous)
         .map(|k| space.free()[k])
         .collect();
     let is_inside = |point: &&EvaluatedPoint| {
-        space.admits(&point.x) && discrete.iter().all(|&i| point.x[i] == point.x[i].round())
+        space.admits(&point.x)
+            && discrete.iter().all(|&i| point.x[i] == point.x[i].round())
+            && point.constraints.len() == constraints.nonlinear.len()
+            && constraints.violation(&point.constraints).is_finite()
+            && !constraints.forbids(&point.constraints)
     };
     let mut prior: Vec<&EvaluatedPoint> =
         evaluated.iter().filter(|point| point.cost.is_finite()).filter(is_inside).collect();
-    prior.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    let rank = |point: &EvaluatedPoint| constraints.rank(&point.constraints);
+    prior.sort_by(|a, b| rank(a).total_cmp(&rank(b)).then(a.cost.total_cmp(&b.cost)));
     prior.dedup_by(|a, b| a.x == b.x && a.problem == b.problem);
     prior
 }

@@ -8,13 +8,13 @@ use checkpoint::Folder;
 use common::timeless;
 use dfo::{
     Answer, AnyMethod, Checkpoint, Constraints, Error, LinearConstraint, NonlinearConstraint, Outcome,
-    ParameterKind, Report, Termination, by_hand, constrained, minimize,
+    ParameterKind, Report, Search, Termination, by_hand, constrained, minimize,
 };
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 const INF: f64 = f64::INFINITY;
 const LINEAR: [&str; 6] = ["de", "de-classic", "cma-es", "nelder-mead", "pattern-search", "multistart"];
-const NONLINEAR: [&str; 3] = ["de", "de-classic", "cma-es"];
+const NONLINEAR: [&str; 4] = ["de", "de-classic", "cma-es", "multistart"];
 
 fn row(coefficients: &[f64], lower: f64, upper: f64) -> LinearConstraint {
     LinearConstraint { coefficients: coefficients.to_vec(), lower, upper }
@@ -280,4 +280,78 @@ fn unsupported_constraints_are_named_with_methods_that_support_them() {
         assert!(matches!(error, Error::NoConstraints { kind: "nonlinear", .. }), "{error}");
         assert!(error.to_string().contains("cma-es, de"), "{error}");
     }
+    let mut equality = circle();
+    equality.nonlinear[0].upper = 1.0;
+    for name in ["de", "de-classic", "ga"] {
+        let error = error(name, equality.clone());
+        assert!(matches!(error, Error::NoConstraints { kind: "nonlinear equality", .. }), "{error}");
+        assert!(error.to_string().contains("quadratic-model, cma-es or multistart"), "{error}");
+    }
+}
+
+/// Two equalities of which one is a circle: `x^2 + y^2 + z^2 = 1` and `x y = 0.3`.
+#[test]
+fn global_search_with_equalities_uses_multistart() {
+    let equality = |value| NonlinearConstraint { lower: value, upper: value, keep_feasible: false };
+    let constraints = Constraints { nonlinear: vec![equality(1.0), equality(0.3)], ..Constraints::default() };
+    let values = |x: &[f64], c: &mut Vec<f64>| c.extend([x.iter().map(|x| x * x).sum(), x[0] * x[1]]);
+    let cost = |x: &[f64]| x[0] + x[1] + 0.2 * x[2];
+    let report = minimize(constrained(cost, values, constraints.clone()))
+        .bounds(&[-2.0; 3], &[2.0; 3])
+        .unwrap()
+        .constraints(constraints)
+        .search(Search::Global)
+        .seed(1)
+        .run()
+        .unwrap();
+    // With s = x + y, z^2 = 1.6 - s^2: the smallest s + z / 5 is -sqrt(1.6 * 1.04).
+    let expected = -(1.6f64 * 1.04).sqrt();
+    assert_eq!(report.method, "multistart", "{report}");
+    assert!((report.fun - expected).abs() < 1e-5 && report.constr_violation <= 1e-6, "{report}");
+}
+
+/// A fixed parameter does not shift the kinds of the others.
+#[test]
+fn fixed_parameters_do_not_affect_the_choice() {
+    for fixed in [ParameterKind::Integer, ParameterKind::Categorical, ParameterKind::Continuous] {
+        let report = minimize(|x: &[f64]| (x[0] + x[1] - 2.6).powi(2))
+            .start(&[2.0, 0.0])
+            .bounds(&[2.0, 0.0], &[2.0, 1.0])
+            .unwrap()
+            .kinds(&[fixed, ParameterKind::Integer])
+            .search(Search::Local)
+            .seed(1)
+            .max_evaluations(100)
+            .run()
+            .unwrap();
+        // Differential evolution solves more of the binary problems.
+        assert_eq!((&*report.method, &report.x[..]), ("de", &[2.0, 1.0][..]), "{report}");
+    }
+}
+
+/// Nelder-Mead collapses along active rows, away from the minimum of a convex program, unless its simplex is
+/// rebuilt there. The minimum is that of the best set of active rows.
+#[test]
+fn nelder_mead_does_not_stop_on_the_wrong_rows() {
+    let hessian =
+        [[8.1, 6.0, 0.0, 8.0], [6.0, 18.1, 3.0, -2.0], [0.0, 3.0, 21.1, -4.0], [8.0, -2.0, -4.0, 13.1]];
+    let slope = [1.0, -9.0, -3.0, -9.0];
+    let linear = vec![
+        row(&[0.0, 0.0, 0.0, -1.0], -INF, 5.0),
+        row(&[2.0, 0.0, 5.0, -5.0], -INF, 2.0),
+        row(&[-1.0, 5.0, 0.0, 4.0], -INF, 3.0),
+        row(&[5.0, -4.0, -1.0, -5.0], -INF, 5.0),
+        row(&[-2.0, 2.0, 4.0, 1.0], -INF, 1.0),
+    ];
+    let cost = |x: &[f64]| {
+        let bent = |row: &[f64; 4]| row.iter().zip(x).map(|(a, x)| a * x).sum::<f64>();
+        hessian.iter().zip(slope).zip(x).map(|((row, c), x)| x * (c + 0.5 * bent(row))).sum()
+    };
+    let report = minimize(cost)
+        .start(&[7.0, 8.0, -8.0, -5.0])
+        .constraints(Constraints { linear, ..Constraints::default() })
+        .method(method("nelder-mead"))
+        .run()
+        .unwrap();
+    assert!(report.is_success() && (report.fun + 5.046_846_036).abs() < 1e-5, "{report}");
 }

@@ -4,8 +4,9 @@
 use crate::checkpoint::{Folder, same};
 use crate::problems::hock_schittkowski::{Problem, linear, nonlinear};
 use dfo::{
-    Checkpoint, Constraints, LinearConstraint, NonlinearConstraint, Outcome, QuadraticModel, Query, Report,
-    Resume, constrained, fallible, minimize, with_query,
+    Answer, AnyMethod, Checkpoint, Constraints, EvaluatedPoint, LinearConstraint, NonlinearConstraint,
+    Outcome, QuadraticModel, Query, Report, Resume, Search, by_hand, constrained, fallible, minimize,
+    with_query,
 };
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -278,4 +279,174 @@ fn constrained_runs_are_reproducible_and_resume() {
         same(&whole, &set_up(usize::MAX, 1).checkpoint(place).run().unwrap(), "resumed");
         assert_eq!(calls.load(Ordering::Relaxed) + 22, whole.n_evaluations, "{}", p.number);
     }
+}
+
+/// The first step to an active row ends on it, and the next steps along it violate it by rounding.
+#[test]
+fn steps_along_an_active_row_are_not_cut_by_rounding() {
+    let row = |a: [f64; 2], upper: f64| LinearConstraint { coefficients: a.to_vec(), lower: -INF, upper };
+    let linear =
+        vec![row([-3.0, -2.0], 5.0), row([-1.0, -1.0], 4.0), row([3.0, -5.0], 1.0), row([-2.0, -1.0], 3.0)];
+    // 1/2 x'Qx + c'x with Q = LL' + 0.1, L = [-2 -1; 3 1].
+    let cost =
+        |x: &[f64]| 0.5 * (5.1 * x[0] * x[0] - 14.0 * x[0] * x[1] + 10.1 * x[1] * x[1]) - x[0] + 9.0 * x[1];
+    for method in [AnyMethod::auto(Search::Local), QuadraticModel::default().into()] {
+        let report = minimize(cost)
+            .start(&[1.0, -7.0])
+            .constraints(Constraints { linear: linear.clone(), ..Constraints::default() })
+            .method(method)
+            .run()
+            .unwrap();
+        assert!(report.is_success() && (report.fun + 6.344_082_840).abs() < 1e-6, "{report}");
+    }
+}
+
+/// With all parameters fixed, the only point is evaluated.
+#[test]
+fn all_parameters_may_be_fixed() {
+    for (limit, is_feasible) in [(20.0, true), (5.0, false)] {
+        let limits = NonlinearConstraint { lower: -INF, upper: limit, keep_feasible: false };
+        let constraints = Constraints { nonlinear: vec![limits], ..Constraints::default() };
+        for name in ["quadratic-model", "cma-es", "de", "ga", "multistart", "auto"] {
+            let square = |x: &[f64], c: &mut Vec<f64>| c.push(x[0] * x[0] + x[1] * x[1]);
+            let report = minimize(constrained(|x: &[f64]| x[0] + x[1], square, constraints.clone()))
+                .start(&[2.0, 3.0])
+                .bounds(&[2.0, 3.0], &[2.0, 3.0])
+                .unwrap()
+                .constraints(constraints.clone())
+                .method(name.parse::<AnyMethod>().unwrap())
+                .run()
+                .unwrap();
+            assert_eq!((report.fun, report.n_evaluations), (5.0, 1), "{report}");
+            assert_eq!(report.constr_violation == 0.0, is_feasible, "{report}");
+        }
+    }
+}
+
+/// A warm start uses the constraint values of earlier points, and ignores points without them.
+#[test]
+fn warm_start_needs_the_constraint_values_of_earlier_points() {
+    let (constraints, cost, values) = ellipse(false);
+    let calls = AtomicUsize::new(0);
+    let counted = |x: &[f64]| {
+        calls.fetch_add(1, Ordering::Relaxed);
+        cost(x)
+    };
+    let set_up = |constraints: Constraints| {
+        minimize(constrained(counted, values, constraints.clone()))
+            .start(&[0.5, 0.5])
+            .constraints(constraints)
+            .method(QuadraticModel::default())
+            .problem("ellipse")
+    };
+    let first = set_up(constraints.clone()).run().unwrap();
+    let n = calls.swap(0, Ordering::Relaxed);
+    let again = set_up(constraints.clone()).warm_start(&first.trace).run().unwrap();
+    assert!(again.is_success() && again.n_cached >= 1 && again.fun <= first.fun + 1e-9, "{again}");
+    assert!(calls.swap(0, Ordering::Relaxed) < n + 10, "{again}");
+    // The best earlier point is feasible, although an infeasible one has a lower cost.
+    let point = |x: [f64; 2]| {
+        let mut constraints = Vec::new();
+        values(&x, &mut constraints);
+        let problem = Some("ellipse".to_owned());
+        EvaluatedPoint { x: x.to_vec(), cost: cost(&x), residuals: Vec::new(), constraints, problem }
+    };
+    let points = [point([2.0, 4.0]), point([1.0, 1.25])];
+    assert!(points[0].cost < points[1].cost && points[0].constraints[0] < 0.0);
+    let again = set_up(constraints.clone()).evaluated_points(points).max_evaluations(1).run().unwrap();
+    let next = again.trace.iter().next().unwrap();
+    assert!(again.n_cached == 1 && next.x[1] == 1.25, "{again} {next:?}");
+    // Points of a run with another number of constraints.
+    let free = minimize(cost).start(&[3.0, 3.0]).problem("ellipse").max_evaluations(30).run().unwrap();
+    let fresh = set_up(constraints.clone()).warm_start(&free.trace).run().unwrap();
+    assert_eq!((&fresh.x, fresh.n_cached), (&first.x, first.n_cached));
+    let unconstrained = minimize(cost).start(&[3.0, 3.0]).problem("ellipse").warm_start(&first.trace);
+    assert_eq!(unconstrained.max_evaluations(30).run().unwrap().x, free.x);
+}
+
+/// Failed points have no constraint values, or too few.
+#[test]
+fn failed_points_with_too_few_constraint_values_are_not_confused() {
+    let limits = |lower, upper| NonlinearConstraint { lower, upper, keep_feasible: false };
+    let nonlinear = vec![limits(-INF, 1.0), limits(-INF, 0.5)];
+    let constraints = Constraints { nonlinear, ..Constraints::default() };
+    for name in ["quadratic-model", "cma-es", "de", "multistart"] {
+        let mut run = by_hand()
+            .start(&[0.2, 0.2])
+            .bounds(&[-2.0; 2], &[2.0; 2])
+            .unwrap()
+            .constraints(constraints.clone())
+            .method(name.parse::<AnyMethod>().unwrap())
+            .seed(1)
+            .max_evaluations(800)
+            .optimizer()
+            .unwrap();
+        loop {
+            let points = run.ask(usize::MAX);
+            if points.is_empty() {
+                break;
+            }
+            for (k, point) in points.iter().enumerate() {
+                let x = &point.x;
+                let all = [x[0] * x[0] + x[1] * x[1], x[0]];
+                // The first point of some batches fails, and points beyond a line fail.
+                let fails = k == 0 && points.len() > 1 && point.id % 3 == 1 || x[1] > 1.3;
+                let mut answer = Answer::from(match fails {
+                    true => Outcome::failed("no"),
+                    false => Outcome::Value(-2.0 * x[0] - x[1]),
+                });
+                answer.constraints.extend(&all[..if fails { k % 2 } else { 2 }]);
+                run.tell(point.id, answer).unwrap();
+            }
+        }
+        let report = run.report().unwrap();
+        // The corner of the circle and the line.
+        assert!((report.fun + 1.0 + 0.75f64.sqrt()).abs() < 5e-3, "{report}");
+        assert!(report.constr_violation <= 1e-6, "{report}");
+    }
+}
+
+/// A caller cannot know which points a constraint forbids, so their costs are ignored.
+#[test]
+fn told_costs_of_forbidden_points_are_ignored() {
+    let (constraints, cost, values) = ellipse(true);
+    let driven = minimize(constrained(cost, values, constraints.clone()))
+        .start(&[2.3, 1.5])
+        .constraints(constraints.clone())
+        .method(QuadraticModel::default())
+        .run()
+        .unwrap();
+    let mut run = by_hand()
+        .start(&[2.3, 1.5])
+        .constraints(constraints.clone())
+        .method(QuadraticModel::default())
+        .optimizer()
+        .unwrap();
+    loop {
+        let points = run.ask(usize::MAX);
+        if points.is_empty() {
+            break;
+        }
+        for point in points {
+            let mut answer = Answer::from(Outcome::Value(cost(&point.x)));
+            values(&point.x, &mut answer.constraints);
+            run.tell(point.id, answer).unwrap();
+        }
+    }
+    let report = run.report().unwrap();
+    assert_eq!((&report.x, report.n_evaluations), (&driven.x, driven.n_evaluations));
+    assert_eq!((report.n_failed, report.n_infeasible), (0, driven.n_infeasible));
+    assert!(report.n_infeasible > 0, "{report}");
+    // No feasible point.
+    let start = [9.0, 9.0];
+    let error = minimize(constrained(cost, values, constraints.clone()))
+        .start(&start)
+        .bounds(&[8.0; 2], &[10.0; 2])
+        .unwrap()
+        .constraints(constraints)
+        .method(QuadraticModel::default())
+        .max_evaluations(60)
+        .run()
+        .unwrap_err();
+    assert!(error.to_string().contains("violate a constraint with keep_feasible, none failed"), "{error}");
 }

@@ -35,6 +35,7 @@ fn chosen_for(mut json: serde_json::Value, residuals: bool) -> Result<(AnyMethod
         search: Search::Local,
         linear: false,
         nonlinear: false,
+        equalities: false,
     };
     Ok(method.chosen(&class)?.unwrap_or((method, "the choice was not open".to_owned())))
 }

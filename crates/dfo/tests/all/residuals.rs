@@ -213,7 +213,13 @@ fn residuals_in_the_trace_are_not_recomputed() {
     assert_eq!((kept.iter().filter(|m| **m == 9).count(), kept.iter().filter(|m| **m == 0).count()), (32, 4));
     let point_of = |e: dfo::TraceEntry<'_>| {
         let (cost, problem) = (e.outcome.value().unwrap(), Some("decay".to_owned()));
-        EvaluatedPoint { x: e.x.to_vec(), cost, residuals: e.residuals.to_vec(), problem }
+        EvaluatedPoint {
+            x: e.x.to_vec(),
+            cost,
+            residuals: e.residuals.to_vec(),
+            constraints: Vec::new(),
+            problem,
+        }
     };
     let wanted = || first.trace.iter().filter(|e| !e.residuals.is_empty()).map(point_of);
     let again =

@@ -102,7 +102,11 @@ impl Calibration {
         without_effect.sort_unstable();
         without_effect.dedup();
         job.enter(FitPhase::FreshProcess, &stats);
+        let free: Vec<usize> = (0..parameters.len())
+            .filter(|i| parameters[*i].lower() < parameters[*i].upper() && !job.held.contains(i))
+            .collect();
         let fit = Fit {
+            n_equalities: self.constraints().n_equalities(&report.x, &free),
             units: parameters.iter().map(unit).collect(),
             priors: parameters
                 .iter()

@@ -80,6 +80,7 @@ pub(crate) fn add_earlier(report: &mut Report, before: &Report) {
     report.n_iterations += before.n_iterations;
     report.n_batches += before.n_batches;
     report.n_failed += before.n_failed;
+    report.n_infeasible += before.n_infeasible;
     report.n_lost += before.n_lost;
     report.n_cached += before.n_cached;
     report.n_speculative += before.n_speculative;

@@ -43,6 +43,10 @@ pub struct Fit {
     pub priors: Vec<(usize, Prior)>,
     /// Lower and upper bounds of the parameters in the same order. Both are equal for a fixed parameter.
     pub bounds: Vec<(f64, f64)>,
+    /// Number of independent equalities between the fitted parameters. Each reduces the number of parameters
+    /// that the measurements determine.
+    #[serde(default)]
+    pub n_equalities: usize,
     /// Name of the model.
     pub model: String,
     /// Reason why the FMU ran in this process although a separate process was requested (see

@@ -566,7 +566,7 @@ impl Calibration {
         let found = match error {
             CalibrationError::Cancelled if job.context.is_late() => {
                 let trace = Trace::new(job.start.len());
-                NothingFound { n_evaluations: 0, failures: Vec::new(), x: None, trace }
+                NothingFound { n_evaluations: 0, n_infeasible: 0, failures: Vec::new(), x: None, trace }
             }
             CalibrationError::Optimiser(dfo::Error::EndedWithoutPoint {
                 termination: Termination::MaxTime,
@@ -631,15 +631,19 @@ impl Calibration {
         let bound = |i: usize, side: fn(&Parameter) -> f64| {
             if is_free(&i) { side(&self.parameters()[i]) } else { 0.0 }
         };
+        let kind = |i: usize| {
+            if is_free(&i) { self.parameters()[i].value_kind() } else { ParameterKind::Continuous }
+        };
         let class = ProblemClass {
             lower: &all.clone().map(|i| bound(i, Parameter::search_lower)).collect::<Vec<_>>(),
             upper: &all.clone().map(|i| bound(i, Parameter::search_upper)).collect::<Vec<_>>(),
             // Fixed parameters can have any value and must not affect the choice of the method.
-            kinds: &all.filter(is_free).map(|i| self.parameters()[i].value_kind()).collect::<Vec<_>>(),
+            kinds: &all.map(kind).collect::<Vec<_>>(),
             residuals: self.has_residuals(objective, start),
             search: Search::Local,
             linear: !run.constraints.linear.is_empty(),
             nonlinear: !run.constraints.nonlinear.is_empty(),
+            equalities: run.constraints.nonlinear.iter().any(|limits| limits.lower == limits.upper),
         };
         run.choose(&class).map_err(|error| self.name_parameter(error))
     }

@@ -7,8 +7,8 @@ use crate::problem::parameter::{Parameter, Scale};
 use crate::uncertainty::scores::Criterion;
 use base::RunContext;
 use dfo::{
-    Answer, ByRef, LeastSquares, Limits, Objective, ParameterKind, Query, RobustLoss, RunOptions,
-    Termination, Tolerances,
+    Answer, AnyMethod, ByRef, LeastSquares, Limits, Objective, ParameterKind, QuadraticModel, Query,
+    RobustLoss, RunOptions, Termination, Tolerances,
 };
 use ode::Stats;
 use std::sync::Mutex;
@@ -122,10 +122,16 @@ impl Refits<'_> {
         let tolerances = Tolerances { x_tol: X_TOL, f_tol: self.f_tol, ..Tolerances::default() };
         let n_free = (0..start.len()).filter(|i| !is_held(*i)).count();
         let limits = Limits { max_evaluations: Some(EVALUATIONS * (n_free + 1)), ..Limits::default() };
-        let method = LeastSquares::default().radius(RADIUS);
-        let mut options =
-            RunOptions { method, tolerances, limits, workers: Some(1), ..RunOptions::default() };
-        options.constraints = self.calibration.constraints().of_search(options.constraints.tolerance);
+        let tolerance = dfo::Constraints::default().tolerance;
+        let constraints = self.calibration.constraints().of_search(tolerance);
+        let method: AnyMethod = if constraints.nonlinear.is_empty() {
+            LeastSquares::default().radius(RADIUS).into()
+        } else {
+            QuadraticModel::default().radius(RADIUS).into()
+        };
+        let workers = Some(1);
+        let options =
+            RunOptions { method, tolerances, limits, workers, constraints, ..RunOptions::default() };
         let report = dfo::minimize(ByRef(self))
             .start(start)
             .bounds(&bound(Parameter::search_lower), &bound(Parameter::search_upper))
@@ -141,6 +147,9 @@ impl Refits<'_> {
         match report.termination {
             Termination::Interrupted => Err(NoFit::Cancelled),
             Termination::Aborted(message) => Err(NoFit::Failed(message)),
+            _ if report.constr_violation > tolerance => {
+                Err(NoFit::Failed("no values satisfy the constraints".to_owned()))
+            }
             _ => Ok(Refitted { x: report.x, cost: report.fun }),
         }
     }

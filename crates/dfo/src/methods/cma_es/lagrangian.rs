@@ -123,7 +123,9 @@ impl Lagrangian {
 
     /// Sets the squared distance that an individual was moved by linear constraints.
     pub(super) fn set_moved(&mut self, slot: usize, squared: f64) {
-        self.moved[slot] = squared;
+        if let Some(moved) = self.moved.get_mut(slot) {
+            *moved = squared;
+        }
     }
 
     /// Records an individual, and returns the cost by which it ranks with the current coefficients.
@@ -251,7 +253,7 @@ impl Lagrangian {
         let (m, n) = (self.sides.len(), n as f64);
         let (mut f, mut mean, mut total) = (0.0, vec![0.0; m], 0.0);
         for (slot, w) in generation.order().iter().zip(&weights.of_rank).filter(|(_, w)| **w > 0.0) {
-            if let Some(cost) = self.costs[*slot] {
+            if let Some(cost) = self.costs.get(*slot).copied().flatten() {
                 total += w;
                 f += w * cost;
                 let values = &self.values[slot * m..(slot + 1) * m];
@@ -324,9 +326,10 @@ impl Lagrangian {
     }
 
     /// True if the lengths fit the problem. State loaded from a file may be inconsistent.
-    pub(super) fn is_sound(&self, constraints: &Constraints) -> bool {
+    pub(super) fn is_sound(&self, constraints: &Constraints, n_drawn: usize) -> bool {
         let (m, members) = (self.sides.len(), self.costs.len());
-        m == are_equalities(constraints).count()
+        (members == 0 || members == n_drawn)
+            && m == are_equalities(constraints).count()
             && self.values.len() == members * m
             && self.ranks.len() == members
             && self.moved.len() == if self.has_rows { members } else { 0 }

@@ -461,7 +461,7 @@ impl GenerationRules for CmaRules {
             && (self.ahead.is_empty() || self.ahead.len() == most_ahead(self.lag, members) * n)
             && self.ahead.iter().all(|v| v.is_finite())
             && pool.population.len() >= 1
-            && self.lagrangian.is_sound(&pool.setup.constraints)
+            && self.lagrangian.is_sound(&pool.setup.constraints, n_drawn)
             && self.lagrangian.has_rows() != pool.setup.space.rows().is_empty()
     }
 }

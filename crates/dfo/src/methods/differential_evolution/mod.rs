@@ -91,6 +91,11 @@ impl MethodOptions for DifferentialEvolution {
         true
     }
 
+    /// Returns false: ranking by violation first practically never satisfies an equality.
+    fn supports_equalities(&self) -> bool {
+        false
+    }
+
     fn describe(&self) -> Vec<(String, String)> {
         initial::describe(self)
     }

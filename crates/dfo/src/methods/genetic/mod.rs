@@ -65,6 +65,11 @@ impl MethodOptions for Genetic {
         true
     }
 
+    /// Returns false: ranking by violation first practically never satisfies an equality.
+    fn supports_equalities(&self) -> bool {
+        false
+    }
+
     fn describe(&self) -> Vec<(String, String)> {
         option_texts::fields(self)
     }

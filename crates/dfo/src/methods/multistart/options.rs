@@ -7,6 +7,7 @@ use crate::methods::cma_es::CmaEs;
 use crate::methods::differential_evolution::DifferentialEvolution;
 use crate::methods::least_squares::LeastSquares;
 use crate::methods::nelder_mead::NelderMead;
+use crate::methods::quadratic_model::QuadraticModel;
 use serde::{Deserialize, Serialize};
 
 /// Method of the local searches.
@@ -15,7 +16,8 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Polish {
-    /// [`NelderMead`] for up to five free parameters, [`CmaEs`] for more and with nonlinear constraints.
+    /// [`NelderMead`] for up to five free parameters, [`CmaEs`] for more, [`QuadraticModel`] with nonlinear
+    /// constraints.
     #[default]
     Auto,
     /// [`LeastSquares`]: for objectives with residuals.
@@ -63,8 +65,8 @@ pub struct Multistart {
     /// Maximum number of local searches; by default limited only by the budget.
     pub max_starts: Option<usize>,
     /// Fraction of the budget for differential evolution before the local searches, at least 0 and below 1.
-    /// Default 0 with least squares, otherwise 0.5 for up to five free parameters and 0.3 for more. Zero if
-    /// the number of evaluations is not limited.
+    /// Default 0 with least squares and with nonlinear equalities, otherwise 0.5 for up to five free
+    /// parameters and 0.3 for more. Zero if the number of evaluations is not limited.
     pub exploration: Option<f64>,
 }
 
@@ -129,9 +131,10 @@ impl Multistart {
     }
 
     /// Returns the fraction of the budget for the exploration with `n` free parameters.
-    pub(super) fn exploration_of(&self, n: usize) -> f64 {
+    pub(super) fn exploration_of(&self, n: usize, equalities: bool) -> f64 {
         let default = match self.polish {
             Polish::LeastSquares => 0.0,
+            _ if equalities => 0.0,
             _ if n <= FEW => 0.5,
             _ => 0.3,
         };
@@ -148,10 +151,13 @@ impl Multistart {
         setup: &Setup,
         state: Option<&[u8]>,
     ) -> Result<Box<dyn Method + Send>, Error> {
-        let few = setup.space.n_free() <= FEW && setup.constraints.nonlinear.is_empty();
+        let few = setup.space.n_free() <= FEW;
         match self.polish {
             Polish::LeastSquares => boxed(&LeastSquares::default().serial(), setup, state),
             Polish::NelderMead => boxed(&NelderMead::default(), setup, state),
+            Polish::Auto if !setup.constraints.nonlinear.is_empty() => {
+                boxed(&QuadraticModel::default(), setup, state)
+            }
             Polish::Auto if few => boxed(&NelderMead::default(), setup, state),
             Polish::Auto | Polish::CmaEs => boxed(&CmaEs::default().sigma(0.1), setup, state),
         }

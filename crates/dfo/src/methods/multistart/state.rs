@@ -147,7 +147,7 @@ impl MultistartState {
     pub(super) fn begin(options: &Multistart, setup: &Setup) -> Result<Self, Error> {
         let (space, n) = (&setup.space, setup.space.n_free());
         let seed = setup.seed.unwrap_or_else(draw_seed);
-        let share = options.exploration_of(n);
+        let share = options.exploration_of(n, setup.constraints.has_equalities());
         let planned = setup.max_evaluations.map_or(0, |budget| (share * budget as f64) as usize);
         let explores = planned > 0 && n > 0;
         let core = Core {
@@ -206,6 +206,8 @@ impl MultistartState {
         let stored: Stored<Core> = restored(state, |s: &Stored<Core>| {
             let core = &s.core;
             core.setup.space == *space
+                && core.setup.constraints == setup.constraints
+                && core.best_violation >= 0.0
                 && core.sample.is_sound(space)
                 && core.used.len() == core.sample.len()
                 && core.rounds.is_sound(space.n())

@@ -151,13 +151,11 @@ impl NelderMeadState {
     fn side_of_restart(&mut self, tests: &ToleranceTests) -> Option<f64> {
         let useless = self.f_restart.is_some_and(|f| f - tests.f_best <= tests.f_limit);
         let space = &self.setup.space;
-        let is_on_bound = || {
-            restart::free_coordinates(&self.simplex, space).count() < space.n_free()
-                || restart::is_on_row(&self.simplex, space)
-        };
+        let is_on_bound = || restart::free_coordinates(&self.simplex, space).count() < space.n_free();
+        let (has_kinks, is_on_row) = (self.spreads.judge(), restart::is_on_row(&self.simplex, space));
         if self.restarts == 0 || useless {
             None
-        } else if self.spreads.judge() && !is_on_bound() {
+        } else if is_on_row || has_kinks && !is_on_bound() {
             Some(restart::SIDE_AT_KINKS)
         } else {
             restart::is_flat(&self.simplex, space).then(|| self.simplex.relative_size(space))

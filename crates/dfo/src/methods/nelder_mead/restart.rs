@@ -167,11 +167,11 @@ pub(super) fn orient(simplex: &mut RankedPoints, space: &Space, extent: f64) {
     }
 }
 
-/// True if the simplex is on a linear constraint.
+/// True if the best vertex is on a linear constraint.
 pub(super) fn is_on_row(simplex: &RankedPoints, space: &Space) -> bool {
     space.rows().iter().any(|row| {
         let terms = row.normal.iter().enumerate();
         let length = terms.map(|(k, a)| (a * space.size(k)).powi(2)).sum::<f64>().sqrt();
-        simplex.order().iter().all(|&s| row.limit - row.value(simplex.u(s)) <= TOUCHING * length)
+        row.limit - row.value(simplex.u(simplex.best())) <= TOUCHING * length
     })
 }

@@ -77,7 +77,7 @@ impl ModelSearch {
         while self.delta < self.radius {
             self.delta = (LONGER * self.delta).min(self.radius);
             let s = self.best_step();
-            if -self.value(&s) <= limit || norm(&s) <= 2.0 * self.rho {
+            if -self.change(&s) <= limit || norm(&s) <= 2.0 * self.rho {
                 continue;
             }
             if skipped == 0 {

@@ -73,7 +73,7 @@ impl ModelSearch {
     /// Returns the product of the complete Hessian with a vector. `hessian` is the stored part of the
     /// Hessian.
     pub(super) fn product(&self, hessian: &[f64], v: &[f64]) -> Vec<f64> {
-        let mut product: Vec<f64> = hessian.chunks_exact(v.len()).map(|row| dot(row, v)).collect();
+        let mut product: Vec<f64> = hessian.chunks_exact(v.len().max(1)).map(|row| dot(row, v)).collect();
         if let Some(inverse) = &self.inverse {
             inverse.add_product(v, &mut product);
         }

@@ -31,14 +31,14 @@ impl Quadratic {
     }
 
     pub(super) fn value(&self, s: &[f64]) -> f64 {
-        let rows = self.hessian.chunks_exact(s.len());
+        let rows = self.hessian.chunks_exact(s.len().max(1));
         let terms = rows.zip(s).zip(&self.gradient).map(|((row, s_k), g)| s_k * (g + 0.5 * dot(row, s)));
         terms.sum()
     }
 
     /// Returns the gradient at a displacement.
     pub(super) fn slope(&self, s: &[f64]) -> Vec<f64> {
-        let rows = self.hessian.chunks_exact(s.len());
+        let rows = self.hessian.chunks_exact(s.len().max(1));
         rows.zip(&self.gradient).map(|(row, g)| g + dot(row, s)).collect()
     }
 
@@ -86,7 +86,7 @@ impl Interpolation {
     /// `None` if numbers overflow.
     pub(super) fn new(n: usize, slots: Vec<usize>, displacements: &[f64]) -> Option<Self> {
         let m = slots.len();
-        let lengths = displacements.chunks_exact(n).map(|y| dot(y, y));
+        let lengths = displacements.chunks_exact(n.max(1)).map(|y| dot(y, y));
         let scale = lengths.fold(0.0, f64::max).sqrt();
         if !(scale > 0.0 && scale.is_finite()) {
             return None;

@@ -246,7 +246,8 @@ impl ModelSearch {
     pub(super) fn active_constraints(&self) -> Vec<ActiveConstraint> {
         let space = &self.setup.space;
         let is_searching = matches!(self.phase, Phase::NoStart | Phase::Starting) || self.operation.is_none();
-        if (self.nonlinear.is_none() && !self.has_rows()) || is_searching {
+        let has_none = self.n() == 0 || self.nonlinear.is_none() && !self.has_rows();
+        if has_none || is_searching {
             return Vec::new();
         }
         let u = self.points.u(self.base());

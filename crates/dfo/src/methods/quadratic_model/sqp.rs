@@ -174,7 +174,7 @@ impl Models<'_> {
             if excess != 0.0 {
                 // (excess + slope . (t - s))^2 / 2
                 add(&mut model.gradient, excess - here, slope);
-                for (a, row) in slope.iter().zip(model.hessian.chunks_exact_mut(n)) {
+                for (a, row) in slope.iter().zip(model.hessian.chunks_exact_mut(n.max(1))) {
                     add(row, *a, slope);
                 }
             } else if lower != upper {
@@ -208,7 +208,7 @@ impl Models<'_> {
             }
         }
         // The gradient belongs to the step zero.
-        let bent: Vec<f64> = model.hessian.chunks_exact(n).map(|row| dot(row, s)).collect();
+        let bent: Vec<f64> = model.hessian.chunks_exact(n.max(1)).map(|row| dot(row, s)).collect();
         add(&mut model.gradient, -1.0, &bent);
         let mut rows = Vec::new();
         let mut equal = Vec::new();

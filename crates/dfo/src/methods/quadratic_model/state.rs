@@ -187,6 +187,7 @@ impl ModelSearch {
         // Radii must be positive and finite, and the resolution must not exceed the trust-region radius.
         let is_length = |length: f64| length > 0.0 && length.is_finite();
         *space == self.setup.space
+            && self.setup.constraints == setup.constraints
             && self.setup.tolerances.check().is_ok()
             && is_length(self.rho)
             && is_length(self.radius)

@@ -155,6 +155,7 @@ impl<B: GenerationRules> Generations<B> {
     pub(crate) fn is_sound(&self, setup: &Setup) -> bool {
         let (Populations { setup: stored, population, candidates, .. }, space) = (&self.pool, &setup.space);
         stored.space == *space
+            && stored.constraints == setup.constraints
             && population.is_sound(space)
             && candidates.is_sound(space)
             && self.rounds.is_sound(space.n())

@@ -86,6 +86,11 @@ impl Constraints {
         self.linear.is_empty() && self.nonlinear.is_empty()
     }
 
+    /// True if a nonlinear constraint is an equality.
+    pub(crate) fn has_equalities(&self) -> bool {
+        self.nonlinear.iter().any(|limits| limits.lower == limits.upper)
+    }
+
     /// Returns the largest violation of a nonlinear constraint; 0 without nonlinear constraints, infinite if
     /// a value is NaN or missing.
     pub fn violation(&self, values: &[f64]) -> f64 {

@@ -30,7 +30,7 @@ impl HalfSpace {
 }
 
 /// Violations below this fraction of the terms of a row are rounding errors.
-const ROUNDING: f64 = 16.0 * f64::EPSILON;
+pub(crate) const ROUNDING: f64 = 16.0 * f64::EPSILON;
 /// A normal whose part outside the active normals is shorter than this fraction depends on them.
 const DEPENDENT: f64 = 1e-11;
 

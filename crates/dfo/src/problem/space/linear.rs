@@ -16,11 +16,34 @@ const NEGLIGIBLE: f64 = 1e-12;
 /// numbers.
 const SAME: f64 = 1e-9;
 
-/// One side of a constraint over all parameters: `coefficients . x <= limit`.
+/// Distances, in sizes, of the interior point from all rows that are tried: 10^-k.
+const DISTANCES: std::ops::Range<i32> = 1..10;
+
+/// One side of a constraint over all parameters: `coefficients . x <= limit`. The sign is -1 for a lower
+/// limit.
 struct Side {
     coefficients: Vec<f64>,
     limit: f64,
+    sign: f64,
     origin: Option<usize>,
+}
+
+/// A side over the working coordinates.
+struct Reduced {
+    normal: Vec<f64>,
+    limit: f64,
+    /// The largest term of an entry of the normal, in units of the sizes, and the sum of the terms of the
+    /// limit. They determine the rounding errors.
+    terms: f64,
+    magnitude: f64,
+}
+
+/// An equality that follows from inequalities.
+enum Flat {
+    /// A parameter has this value.
+    Parameter(usize, f64),
+    /// A constraint has this value.
+    Row(usize, f64),
 }
 
 impl Space {
@@ -29,21 +52,33 @@ impl Space {
     /// logarithmic scale get a linear scale, unless the constraint is a ratio of two of them (`a <= 2 b`).
     /// The start point moves to the nearest feasible point, in units of the sizes.
     ///
+    /// Inequalities that leave no room on one side of a plane are equalities of this plane.
+    ///
     /// # Errors
-    /// Returns an error if a constraint contains a discrete parameter, if no point is feasible, or if the
-    /// feasible points have no interior.
+    /// Returns an error if a constraint contains a discrete parameter, or if no point is feasible.
     pub fn with_linear(self, constraints: &[LinearConstraint]) -> Result<Self, Error> {
         if constraints.is_empty() {
             return Ok(self);
         }
         self.check_kinds(constraints)?;
-        let mut space = self.with_linear_scales(constraints);
-        // Each turn fixes a parameter.
-        while let Some((index, value)) = space.reduce(constraints)? {
-            space = space.fixing(index, value)?;
+        let (mut start, mut rows) = (self, constraints.to_vec());
+        // Each turn but the last fixes a parameter or turns an inequality into an equality. It starts with all
+        // other parameters, because a turn removes dependent ones.
+        loop {
+            let mut space = start.clone().with_linear_scales(&rows);
+            let mut sides = Vec::new();
+            let found = match space.reduce(&rows, &mut sides)? {
+                None => space.find_interior(&sides, rows.len())?,
+                fixed => fixed,
+            };
+            match found {
+                None => return Ok(space),
+                Some(Flat::Parameter(index, value)) => start = start.fixing(index, value)?,
+                Some(Flat::Row(constraint, limit)) => {
+                    (rows[constraint].lower, rows[constraint].upper) = (limit, limit);
+                }
+            }
         }
-        space.find_interior(constraints)?;
-        Ok(space)
     }
 
     fn check_kinds(&self, constraints: &[LinearConstraint]) -> Result<(), Error> {
@@ -73,6 +108,7 @@ impl Space {
             .map(move |(sign, limit)| Side {
                 coefficients: row.coefficients.iter().map(|a| sign * a).collect(),
                 limit,
+                sign,
                 origin: Some(constraint),
             })
     }
@@ -116,7 +152,7 @@ impl Space {
         }
     }
 
-    /// Returns this space without constraints and with one parameter fixed.
+    /// Returns this space with one parameter fixed.
     fn fixing(self, index: usize, value: f64) -> Result<Self, Error> {
         let (mut lower, mut upper) = (self.bounds.lower().to_vec(), self.bounds.upper().to_vec());
         (lower[index], upper[index]) = (value, value);
@@ -125,7 +161,6 @@ impl Space {
         if let Some(k) = space.coordinate_of(index) {
             space.remove(k);
         }
-        space.linear = LinearSet::default();
         Ok(space)
     }
 
@@ -143,9 +178,13 @@ impl Space {
         self.far.remove(k);
     }
 
-    /// Eliminates the equalities and forms the rows of the inequalities. Returns a parameter that the
-    /// constraints fix, with its value; the caller then starts again.
-    fn reduce(&mut self, constraints: &[LinearConstraint]) -> Result<Option<(usize, f64)>, Error> {
+    /// Eliminates the equalities and forms the rows of the inequalities. `of_rows` receives the side of each
+    /// row. Returns a parameter that the constraints fix, with its value; the caller then starts again.
+    fn reduce(
+        &mut self,
+        constraints: &[LinearConstraint],
+        of_rows: &mut Vec<Side>,
+    ) -> Result<Option<Flat>, Error> {
         let dependents = self.eliminate(constraints)?;
         let mut sides: Vec<Side> =
             constraints.iter().enumerate().flat_map(|(k, row)| Self::sides(k, row)).collect();
@@ -156,7 +195,7 @@ impl Space {
                 if limit.is_finite() {
                     let mut coefficients = vec![0.0; self.n()];
                     coefficients[i] = sign;
-                    sides.push(Side { coefficients, limit, origin: None });
+                    sides.push(Side { coefficients, limit, sign, origin: None });
                 }
             }
         }
@@ -168,25 +207,26 @@ impl Space {
                 self.linear.ratios.push(Some(side.coefficients[self.free[k]]));
                 self.linear.rows.push(HalfSpace { normal, limit });
                 self.linear.origins.push(side.origin);
-                continue;
-            }
-            if let Some(fixed) = self.add_side(side)? {
+            } else if let Some(fixed) = self.add_side(&side)? {
                 return Ok(Some(fixed));
+            }
+            if self.linear.rows.len() > of_rows.len() {
+                of_rows.push(side);
             }
         }
         Ok(None)
     }
 
     /// Adds a side as a bound or as a row. Returns a parameter whose bounds have become equal.
-    fn add_side(&mut self, side: Side) -> Result<Option<(usize, f64)>, Error> {
-        let (normal, limit) = self.over_free(&side);
-        let largest = normal.iter().fold(0.0f64, |m, a| m.max(a.abs()));
-        let terms = side.coefficients.iter().map(|a| a.abs()).fold(side.limit.abs(), f64::max);
-        let nonzero: Vec<usize> =
-            (0..normal.len()).filter(|k| normal[*k].abs() > NEGLIGIBLE * largest).collect();
-        if largest <= NEGLIGIBLE * terms || nonzero.is_empty() {
+    fn add_side(&mut self, side: &Side) -> Result<Option<Flat>, Error> {
+        let Reduced { normal, limit, terms, magnitude } = self.over_free(side);
+        let sized = |k: usize| (normal[k] * self.sizes[k]).abs();
+        let largest = (0..normal.len()).map(sized).fold(0.0, f64::max);
+        let nonzero: Vec<usize> = (0..normal.len()).filter(|k| sized(*k) > NEGLIGIBLE * terms).collect();
+        if nonzero.is_empty() {
             // Over fixed parameters only: true or false.
-            return if limit >= -SAME * terms { Ok(None) } else { Err(infeasible(side.origin)) };
+            let error = SAME * magnitude.max(largest);
+            return if limit >= -error { Ok(None) } else { Err(infeasible(side.origin)) };
         }
         let [k] = nonzero[..] else {
             self.linear.ratios.push(None);
@@ -201,12 +241,14 @@ impl Space {
         } else {
             lower[index] = lower[index].max(bound);
         }
-        let close = SAME * (lower[index].abs() + upper[index].abs());
-        if lower[index] > upper[index] + close {
+        // The bounds have the rounding errors of the terms from which they follow.
+        let terms = (lower[index].abs() + upper[index].abs()).max(magnitude / normal[k].abs());
+        let width = upper[index] - lower[index];
+        if width < -SAME * terms {
             return Err(infeasible(side.origin));
         }
-        if lower[index] >= upper[index] {
-            return Ok(Some((index, 0.5 * (lower[index] + upper[index]))));
+        if width.is_finite() && width <= NEGLIGIBLE * terms {
+            return Ok(Some(Flat::Parameter(index, 0.5 * (lower[index] + upper[index]))));
         }
         self.x0[index] = self.x0[index].clamp(lower[index], upper[index]);
         let on_scale = |x: f64, otherwise: f64| match self.transforms[k] {
@@ -223,18 +265,27 @@ impl Space {
     }
 
     /// Returns a side over the working coordinates: fixed and dependent parameters are substituted.
-    fn over_free(&self, side: &Side) -> (Vec<f64>, f64) {
-        let mut limit = side.limit;
+    fn over_free(&self, side: &Side) -> Reduced {
+        let (mut limit, mut magnitude) = (side.limit, side.limit.abs());
         let mut normal: Vec<f64> = self.free.iter().map(|i| side.coefficients[*i]).collect();
+        let largest = |v: &[f64], factor: f64| {
+            v.iter().zip(&self.sizes).map(|(a, size)| (factor * a * size).abs()).fold(0.0, f64::max)
+        };
+        let mut terms = largest(&normal, 1.0);
         for (i, a) in side.coefficients.iter().enumerate().filter(|(_, a)| **a != 0.0) {
-            if let Some(dependent) = self.linear.dependents.iter().find(|d| d.index == i) {
-                limit -= a * dependent.constant;
+            let constant = if let Some(dependent) = self.linear.dependents.iter().find(|d| d.index == i) {
+                terms = terms.max(largest(&dependent.coefficients, *a));
                 normal.iter_mut().zip(&dependent.coefficients).for_each(|(to, c)| *to += a * c);
+                a * dependent.constant
             } else if self.coordinate_of(i).is_none() {
-                limit -= a * self.x0[i];
-            }
+                a * self.x0[i]
+            } else {
+                continue;
+            };
+            limit -= constant;
+            magnitude += constant.abs();
         }
-        (normal, limit)
+        Reduced { normal, limit, terms, magnitude }
     }
 
     /// Solves the equalities for some of the free parameters, by Gauss-Jordan elimination with complete
@@ -305,30 +356,58 @@ impl Space {
         Ok(dependents)
     }
 
-    /// Finds a point inside all constraints, and moves the start point into them.
-    fn find_interior(&mut self, constraints: &[LinearConstraint]) -> Result<(), Error> {
+    /// Finds a point inside all constraints, and moves the start point into them. Returns an inequality that
+    /// every feasible point satisfies with equality; the caller then starts again.
+    fn find_interior(&mut self, sides: &[Side], n_constraints: usize) -> Result<Option<Flat>, Error> {
         let n = self.n_free();
         let mut u = vec![0.0; n];
         self.to_working(&self.x0.clone(), &mut u);
         if !self.linear.rows.is_empty() {
             let rows = self.scaled_rows();
             let z: Vec<f64> = u.iter().zip(&self.sizes).map(|(u, size)| u / size).collect();
-            let nearest = nearest(&z, &rows, 0.0).ok_or_else(|| self.contradiction(constraints, &z))?;
-            // Distances from 1e-1 to 1e-9 sizes.
-            let inside = (1..10).find_map(|k| Some((k, inside(&nearest, &rows, 10f64.powi(-k))?)));
-            let (_, inside) = inside.ok_or(Error::NoInterior)?;
+            let nearest = nearest(&z, &rows, 0.0).ok_or_else(|| self.contradiction(n_constraints, &z))?;
+            let Some(inside) = DISTANCES.into_iter().find_map(|k| inside(&nearest, &rows, 10f64.powi(-k)))
+            else {
+                return self.flat_row(sides, &nearest, rows).map(Some).ok_or(Error::NoInterior);
+            };
             self.linear.interior = inside.iter().zip(&self.sizes).map(|(z, size)| z * size).collect();
             self.restore(&mut u);
         }
         let mut x = self.x0.clone();
         self.to_user(&u, &mut x);
         self.x0 = x;
-        Ok(())
+        Ok(None)
+    }
+
+    /// Returns a row or a bound from which no feasible point has a distance.
+    fn flat_row(&self, sides: &[Side], z: &[f64], mut rows: Vec<HalfSpace>) -> Option<Flat> {
+        for k in 0..rows.len() {
+            let limit = rows[k].limit;
+            let length = rows[k].normal.iter().map(|a| a * a).sum::<f64>().sqrt();
+            rows[k].limit = limit - 10f64.powi(1 - DISTANCES.end) * length;
+            let has_room = nearest(z, &rows, 0.0).is_some();
+            rows[k].limit = limit;
+            if has_room {
+                continue;
+            }
+            let Some(side) = sides.get(k) else {
+                let j = rows[k].normal.iter().position(|a| *a != 0.0)?;
+                let is_upper = rows[k].normal[j] > 0.0;
+                let bounds = if is_upper { self.bounds.upper() } else { self.bounds.lower() };
+                return Some(Flat::Parameter(self.free[j], bounds[self.free[j]]));
+            };
+            let value = side.sign * side.limit;
+            return match side.origin {
+                Some(constraint) => Some(Flat::Row(constraint, value)),
+                None => Some(Flat::Parameter(side.coefficients.iter().position(|a| *a != 0.0)?, value)),
+            };
+        }
+        None
     }
 
     /// Returns the error for an empty set, with a constraint that contradicts the bounds and the constraints
     /// before it.
-    fn contradiction(&self, constraints: &[LinearConstraint], z: &[f64]) -> Error {
+    fn contradiction(&self, n_constraints: usize, z: &[f64]) -> Error {
         let rows = self.scaled_rows();
         let n_rows = self.linear.rows.len();
         for end in 1..=n_rows {
@@ -337,7 +416,7 @@ impl Space {
                 return infeasible(self.linear.origins[end - 1]);
             }
         }
-        infeasible((constraints.len() == 1).then_some(0))
+        infeasible((n_constraints == 1).then_some(0))
     }
 
     /// Returns the rows and the finite bounds in units of the sizes.
@@ -428,8 +507,9 @@ impl Space {
         self.pull_inside(u);
     }
 
-    /// Shortens the way from a feasible point to `u` so that it ends at the first row that it meets. Does
-    /// nothing without rows or if the point is feasible.
+    /// Shortens the way from a feasible point to `u` so that it ends at the first row that it meets. A row
+    /// that the way violates only by rounding does not shorten it, because the way may run along this row.
+    /// Does nothing without rows or if the point is feasible.
     pub(crate) fn shorten(&self, from: &[f64], u: &mut [f64]) {
         if self.satisfies_rows(u) {
             return;
@@ -437,14 +517,19 @@ impl Space {
         let mut share = 1.0f64;
         for row in &self.linear.rows {
             let (here, there) = (row.value(from), row.value(u));
-            if there > row.limit {
+            let rounding = quadratic_program::ROUNDING * row.magnitude(from).max(row.magnitude(u));
+            // This form of the comparison counts NaN as a violation.
+            let is_met = there - row.limit <= rounding;
+            if !is_met {
                 share = share.min(((row.limit - here) / (there - here)).max(0.0));
             }
         }
         if !share.is_finite() {
             share = 0.0;
         }
-        u.iter_mut().zip(from).for_each(|(u, from)| *u = from + share * (*u - from));
+        if share < 1.0 {
+            u.iter_mut().zip(from).for_each(|(u, from)| *u = from + share * (*u - from));
+        }
         self.pull_inside(u);
     }
 
@@ -573,13 +658,57 @@ mod tests {
         let equal = [row(&[1.0, 1.0], 0.5, 0.5), row(&[2.0, 2.0], 1.1, 1.1)];
         let error = unit_box(&[0.5; 2]).with_linear(&equal);
         assert!(matches!(error, Err(Error::Infeasible { constraint: Some(_) })), "{error:?}");
-        let flat = [row(&[1.0, -1.0], -INF, 0.0), row(&[-1.0, 1.0], -INF, 0.0)];
-        assert_eq!(unit_box(&[0.5, 0.2]).with_linear(&flat), Err(Error::NoInterior));
         let beyond = [row(&[1.0, 1.0], 2.5, INF)];
         assert_eq!(unit_box(&[0.5; 2]).with_linear(&beyond), Err(Error::Infeasible { constraint: Some(0) }));
         let whole = unit_box(&[1.0; 2]).with_kinds(&[ParameterKind::Integer, ParameterKind::Continuous]);
         let error = whole.unwrap().with_linear(&[row(&[1.0, 1.0], -INF, 1.5)]);
         assert!(matches!(error, Err(Error::DiscreteConstraint { index: 0, .. })), "{error:?}");
+    }
+
+    #[test]
+    fn inequalities_without_room_become_equalities() {
+        let flat = [row(&[1.0, -1.0], -INF, 0.0), row(&[-1.0, 1.0], -INF, 0.0)];
+        let line = unit_box(&[0.5, 0.2]).with_linear(&flat).unwrap();
+        assert_eq!((line.n_free(), line.x0()[0]), (1, line.x0()[1]));
+        // Only a corner of the box.
+        let corner = unit_box(&[0.5, 0.2, 0.1]).with_linear(&[row(&[1.0, 1.0, 0.0], 2.0, INF)]).unwrap();
+        assert_eq!((corner.free(), corner.x0()), (&[2][..], &[1.0, 1.0, 0.1][..]));
+        // The point (0.1, 0.3) as the tip of a cone, with rounding.
+        let cone = [row(&[1.0, 0.2], -INF, 0.16), row(&[-1.0, 0.1], -INF, -0.07), row(&[0.0, 3.0], 0.9, INF)];
+        let tip = unit_box(&[0.5, 0.2]).with_linear(&cone).unwrap();
+        let error = (tip.x0()[0] - 0.1).abs() + (tip.x0()[1] - 0.3).abs();
+        assert!(tip.n_free() == 0 && error < 1e-12, "{:?}", tip.x0());
+    }
+
+    /// A parameter that inequalities fix does not fix the parameters that depend on it.
+    #[test]
+    fn fixed_parameters_keep_dependent_ones() {
+        let rows =
+            [row(&[1.0; 3], 1.0, 1.0), row(&[4.0, 0.0, 0.0], 1.0, INF), row(&[8.0, 0.0, 0.0], -INF, 2.0)];
+        let space = unit_box(&[0.2, 0.3, 0.5]).with_linear(&rows).unwrap();
+        assert_eq!((space.free(), space.x0()), (&[1][..], &[0.25, 0.3, 0.45][..]));
+        assert_eq!(space.dependents().collect::<Vec<_>>(), [(2, &[-1.0][..])]);
+    }
+
+    /// A step along a row at its start is not shortened by the rounding errors of this row.
+    #[test]
+    fn steps_along_a_row_keep_their_length() {
+        let rows = [row(&[-3.0, -2.0], -INF, 5.0)];
+        let space = space(&[0.0; 2], &[-INF; 2], &[INF; 2], &[]).with_linear(&rows).unwrap();
+        let mut n_violated = 0;
+        for k in 0..1000 {
+            let (start, share) = (0.01 * f64::from(k), 0.3 + 1e-3 * f64::from(k));
+            // Both points are on the row.
+            let mut from = [start, (-5.0 - 3.0 * start) / 2.0];
+            space.restore(&mut from);
+            let wanted = [from[0] - share * 2e-3, from[1] + share * 3e-3];
+            let mut end = wanted;
+            n_violated += usize::from(!space.satisfies_rows(&end));
+            space.shorten(&from, &mut end);
+            let error = (end[0] - wanted[0]).abs() + (end[1] - wanted[1]).abs();
+            assert!(space.satisfies_rows(&end) && error < 1e-12, "{from:?} {wanted:?} {end:?}");
+        }
+        assert!(n_violated > 100, "{n_violated}");
     }
 
     /// Points brought inside are exactly inside, and nearest points satisfy the optimality conditions.

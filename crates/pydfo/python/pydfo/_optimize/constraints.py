@@ -92,7 +92,13 @@ class ConstraintFunction:
         self.parts = parts
 
     def __call__(self, x: FloatArray) -> FloatArray:
-        return np.concatenate([_values(fun(x, *args), count) for fun, args, count in self.parts])
+        # A function may change its argument.
+        return np.concatenate([_values(fun(np.array(x), *args), count) for fun, args, count in self.parts])
+
+    @property
+    def count(self) -> int:
+        """Number of values."""
+        return sum(count for *_, count in self.parts)
 
 
 class Constrained:
@@ -121,13 +127,34 @@ class Constrained:
         """Adds the constraint values to a function that evaluates whole batches."""
 
         def evaluate_with(points: FloatArray, cutoffs: FloatArray, stopped: Callable[[], bool]) -> list[Any]:
-            values = [self.function(x) for x in points]
-            allowed = np.array([not self.forbids(of_point) for of_point in values])
+            values = [self._values_or_error(x) for x in points]
+            allowed = np.array([not isinstance(of_point, Exception) and not self.forbids(of_point) for of_point in values])
             costs = iter(evaluate(points[allowed], cutoffs[allowed], stopped) if allowed.any() else [])
             both = [(of_point, next(costs) if is_allowed else ...) for of_point, is_allowed in zip(values, allowed)]
-            return [cost if isinstance(cost, BaseException) else Evaluation(of_point, cost) for of_point, cost in both]
+            return [_joined(of_point, cost) for of_point, cost in both]
 
         return evaluate_with
+
+    def _values_or_error(self, x: FloatArray) -> FloatArray | Exception:
+        """Returns an exception instead of raising it, so that one point does not affect its batch."""
+        try:
+            return self.function(x)
+        except Exception as e:
+            return e
+
+
+def _joined(values: FloatArray | Exception, cost: Any) -> Any:
+    """Returns the answer for a point of a batch: its evaluation, or the raised exception."""
+    if isinstance(values, Exception):
+        return values
+    return cost if isinstance(cost, BaseException) else Evaluation(values, cost)
+
+
+def complete(requested: dict[str, Any], function: ConstraintFunction | None) -> None:
+    """Adds the constraint values to the points of a warm start among the options."""
+    for point in requested.get("warm_start") or ():
+        if function is not None and np.isfinite(point["cost"]):
+            point["constraints"] = function(np.array(point["x"])).tolist()
 
 
 def of_call(constraints: Any, x0: Any, bounds: Any) -> tuple[Native | None, ConstraintFunction | None]:

@@ -82,7 +82,7 @@ def minimize(
         - "cma-es": covariance matrix adaptation;
         - "pattern-search": mesh adaptive direct search, for costs with kinks; not for smooth costs, noise or steps;
         - "multistart": differential evolution, then local searches from several starts in a box; ``optima`` of the
-          result lists the minima found.
+          result lists the minima found. With nonlinear constraints, the local searches use quadratic models.
 
         Case is ignored in names, and "-", "_" or a space may separate the words. "auto" selects "quadratic-model",
         which continues with another method from its best point (``hand_over``) if the cost is not smooth: with
@@ -188,6 +188,8 @@ def minimize(
         Relations between parameters, in SciPy's forms (its own classes are accepted, too; derivatives in them are
         unused). Linear ones hold at every evaluated point; equalities among them reduce the dimension of the search. A
         start that violates them is moved to the nearest feasible point. Nonlinear ones may be violated on the way.
+        "quadratic-model", "cma-es" and "multistart" support nonlinear equalities. "de" and "ga" rank points by their
+        violation first, which practically never satisfies an equality of continuous parameters, so they reject it.
 
     Returns
     -------
@@ -281,6 +283,7 @@ def run(
             batches = constrained.of_batches(batches)
     planned = _options.with_plan(options, count) if of_residuals else options
     start, lower, upper, requested = describe(of, method, x0, bounds, planned, function=fun, workers=count, **arguments)
+    _constraints.complete(requested, function)
     result = _core.minimize(
         batches or called,
         start,

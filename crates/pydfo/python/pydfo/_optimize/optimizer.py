@@ -104,25 +104,24 @@ class Optimizer:
         self._points: dict[int, FloatArray] = {}
         count = _options.worker_count("workers", workers, 1)
         _options.tell_of_checkpoint(checkpoint, resume, options)
-        self._native = _core.Optimizer(
-            *describe(
-                Optimizer,
-                method,
-                x0,
-                bounds,
-                options,
-                rng=rng,
-                checkpoint=checkpoint,
-                workers=count,
-                max_evaluations=max_evaluations,
-                max_iterations=max_iterations,
-                max_time=max_time,
-                target=target,
-                resume=resume,
-                search=search,
-            ),
-            native,
+        described = describe(
+            Optimizer,
+            method,
+            x0,
+            bounds,
+            options,
+            rng=rng,
+            checkpoint=checkpoint,
+            workers=count,
+            max_evaluations=max_evaluations,
+            max_iterations=max_iterations,
+            max_time=max_time,
+            target=target,
+            resume=resume,
+            search=search,
         )
+        _constraints.complete(described[-1], self._function)
+        self._native = _core.Optimizer(*described, native)
 
     def ask(self, k: SupportsIndex | None = None) -> Asked:
         """Returns at most `k` points to evaluate (None: all of the round); none while results are missing, and after
@@ -130,7 +129,8 @@ class Optimizer:
         at_most = None if k is None else _values.limit("k", _values.index("k", k), 0)
         asked = Asked(*self._native.ask(at_most))
         if self._function is not None:
-            self._points.update(zip(asked.ids.tolist(), asked.x))
+            # The caller may change the points.
+            self._points.update(zip(asked.ids.tolist(), asked.x.copy()))
         return asked
 
     def tell(self, ids: SupportsIndex | Iterable[SupportsIndex], values: Any, constraints: Any = None) -> None:
@@ -146,14 +146,16 @@ class Optimizer:
             returns a point, which `ask` then returns again.
         constraints : array_like, shape (k, m) or (m,), optional
             Values of the nonlinear constraints at the points. By default, the functions of the constraints are called.
+            The cost of a point that violates a constraint with ``keep_feasible`` is ignored, as if it had not been
+            evaluated.
 
         Raises
         ------
         KeyError
             A number does not belong to a pending point. The values before it have been recorded.
         ValueError, TypeError
-            The numbers of values and ids differ, a value is not a number, or it is not a vector of residuals if
-            required.
+            The numbers of values and ids differ, a value is not a number, it is not a vector of residuals if required,
+            or there are constraint values without nonlinear constraints.
         Interrupted
             Ctrl-C was pressed while the method chose its next points; a KeyboardInterrupt. The value counts, and the
             next `ask` continues the choice.
@@ -169,9 +171,14 @@ class Optimizer:
         tell = self._native.tell
         if len(numbers) != len(costs):
             raise ValueError(f"tell: got {len(costs)} values for {len(numbers)} points")
+        if constraints is not None and self._function is None:
+            raise ValueError("tell: got constraint values, but the run has no nonlinear constraints")
         given = [None] * len(numbers) if constraints is None else [_values.vector("constraints", of_point) for of_point in constraints]
         if len(given) != len(numbers):
             raise ValueError(f"tell: got constraint values of {len(given)} points for {len(numbers)} points")
+        for of_point in given:
+            if of_point is not None and self._function is not None and of_point.size != self._function.count:
+                raise ValueError(f"tell: got {of_point.size} constraint values of a point; expected {self._function.count}")
         for number, cost, of_point in zip(numbers, costs, given):
             if not 0 <= number < 2**64:
                 raise KeyError(f"tell: point {number} is not waiting for an answer")

@@ -200,6 +200,8 @@ class OptimizeResult:
         Number of evaluations of the path of the method, equal to a run with one worker. Budgets count these.
     nfail : int
         Number of calls that failed (a tolerated exception, NaN or infinity).
+    n_infeasible : int
+        Number of points whose cost was not evaluated, because they violate a constraint with ``keep_feasible``.
     n_lost : int
         Number of results that the executor lost because a machine or a connection failed, and of overdue tasks
         (`Resubmit`). Their points were evaluated again and count once. A run ends with status 6 if a point is lost three
@@ -283,6 +285,7 @@ class OptimizeResult:
     nit: int
     nfev: int
     nfail: int
+    n_infeasible: int = 0
     n_lost: int = 0
     n_speculative: int = 0
     n_batches: int = 0
@@ -381,7 +384,7 @@ class OptimizeResult:
 
     def __repr__(self) -> str:
         evaluations = f"{self.nfev} in {self.n_batches} batches" if self.n_batches else str(self.nfev)
-        remarks = [f"{n} {what}" for n, what in ((self.nfail, "failed"), (self.n_lost, "lost"), (self.n_speculative, "speculative")) if n]
+        remarks = [f"{n} {what}" for n, what in ((self.nfail, "failed"), (self.n_infeasible, "infeasible"), (self.n_lost, "lost"), (self.n_speculative, "speculative")) if n]
         lines = [
             ("message", _text.line(self.message)),
             ("success", f"{self.success} (status {self.status}, {self.termination})"),
