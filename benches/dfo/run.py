@@ -57,7 +57,7 @@ class Set:
 SCALAR = ("nelder-mead", "quadratic-model", "cma-es", "pattern-search", "auto")
 PEERS = ("SciPy Nelder-Mead", "SciPy Nelder-Mead, adaptive", "SciPy Powell", "NLopt Nelder-Mead", "NLopt Sbplx", "NLopt BOBYQA")
 PEERS += ("COBYQA", "Py-BOBYQA")
-VECTOR = ("least-squares", "least-squares, batch n+4", "auto, residuals")
+VECTOR = ("least-squares", "least-squares, batch n+4")
 VECTOR_PEERS = ("DFO-LS", "SciPy least_squares trf")
 GLOBAL = ("auto, global", "multistart", "de", "cma-es", "SciPy DE", "SciPy dual annealing", "pycma BIPOP", "pygmo sade")
 ROUNDS = ("1", "4", "n+4")

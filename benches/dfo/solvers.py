@@ -256,7 +256,6 @@ SOLVERS: dict[str, Solver] = {
     "least-squares, batch n+4": ours("least-squares", "n+4", True, options={"batch": "n+4"}),
     "least-squares, noise": ours("least-squares", 1, True, options={"noise": True}),
     "auto": ours("auto"),
-    "auto, residuals": ours("auto", residuals=True),
     "auto, global": ours("auto", search="global"),
     "SciPy Nelder-Mead": scipy_minimize("Nelder-Mead", xatol=0.0, fatol=0.0, maxfev=10**9, maxiter=10**9),
     "SciPy Nelder-Mead, adaptive": scipy_minimize(
