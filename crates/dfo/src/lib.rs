@@ -23,7 +23,7 @@
 //! | `pattern-search` | costs with kinks, such as largest errors; few parameters, with or without bounds | [`PatternSearch`] |
 //! | `ga` (`genetic`) | integer and categorical parameters combined with continuous ones, in a box | [`Genetic`] |
 //!
-//! [`EnsembleSampler`] samples a probability density.
+//! [`pareto`] minimises several criteria at once. [`EnsembleSampler`] samples a probability density.
 //!
 //! [`AnyMethod`] selects a method by name. [`Optimizer`] (ask/tell) leaves the evaluations to the caller.
 //! [`minimize_by`] sends them to your own [`Evaluator`], for example a cluster.
@@ -77,10 +77,11 @@ pub use methods::{
     Adaptive, AnyMethod, Auto, Barrier, BarrierState, BoxedMethod, CmaBounds, CmaEs, CmaEsState,
     Coefficients, Crossover, DifferentialEvolution, DifferentialEvolutionState, DifferentialWeight, Genetic,
     GeneticState, InitialSimplex, LeastSquares, LeastSquaresState, Multistart, MultistartState, NelderMead,
-    NelderMeadState, PatternSearch, PatternSearchState, Polish, QuadraticModel, QuadraticModelState, Repair,
-    Restarts, Scheme, Selection, StepPlan, Strategy,
+    NelderMeadState, Nsga2, Nsga2State, PatternSearch, PatternSearchState, Polish, QuadraticModel,
+    QuadraticModelState, Repair, Restarts, Scheme, Selection, StepPlan, Strategy,
 };
 pub use outcome::answer::{Answer, Answers, EvaluationKind, Failure, FailureKind, Outcome};
+pub use outcome::pareto_front::{ParetoFront, ParetoPoint, hypervolume};
 pub use outcome::termination::{Cause, Termination};
 pub use outcome::trace::{Trace, TraceEntry};
 pub use problem::constraints::{ActiveConstraint, Constraints, LinearConstraint, NonlinearConstraint};
@@ -93,7 +94,7 @@ pub use problem::objective::{
 pub use problem::space::{Bounds, Space, typical_size};
 pub use run::checkpoint::{Checkpoint, Resume};
 pub use run::minimize::{
-    ByHand, ByRun, Minimize, by_hand, least_squares, minimize, minimize_batches, minimize_by,
+    ByHand, ByRun, Minimize, by_hand, least_squares, minimize, minimize_batches, minimize_by, pareto,
 };
 pub use run::optimizer::{Optimizer, Point};
 pub use run::options::{EvaluatedPoint, RunOptions};

@@ -68,7 +68,7 @@ mod core_module {
     #[pymodule_export]
     use super::optimize::methods::{method_name, method_names, method_of_number, option_names};
     #[pymodule_export]
-    use super::optimize::minimize::minimize;
+    use super::optimize::minimize::{hypervolume, minimize};
     #[pymodule_export]
     use super::optimize::optimizer::PyOptimizer;
     #[pymodule_export]

@@ -6,6 +6,7 @@ use crate::method_interface::cost::Cost;
 use crate::method_interface::linear_model::LinearModel;
 use crate::method_interface::tolerances::{ToleranceTests, Tolerances};
 use crate::outcome::answer::{Answer, Answers, EvaluationKind};
+use crate::outcome::pareto_front::ParetoFront;
 use crate::outcome::termination::Termination;
 use crate::problem::constraints::{ActiveConstraint, Constraints};
 use crate::problem::loss::RobustLoss;
@@ -558,6 +559,11 @@ pub trait Method {
     /// and the context has ended.
     fn linear_model(&self, context: &RunContext<'_>) -> Option<LinearModel> {
         let _ = context;
+        None
+    }
+
+    /// Returns the Pareto front so far, for methods with several criteria.
+    fn front(&self) -> Option<ParetoFront> {
         None
     }
 

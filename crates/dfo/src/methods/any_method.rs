@@ -9,6 +9,7 @@ use super::genetic::Genetic;
 use super::least_squares::LeastSquares;
 use super::multistart::{Multistart, Polish};
 use super::nelder_mead::NelderMead;
+use super::nsga2::Nsga2;
 use super::option_names::{COMMON, collect, described, place, tagged, unknown, values};
 use super::pattern_search::PatternSearch;
 use super::quadratic_model::QuadraticModel;
@@ -66,6 +67,8 @@ pub enum AnyMethod {
     QuadraticModel(QuadraticModel),
     /// `pattern-search`, for costs with kinks. Inefficient for smooth costs.
     PatternSearch(PatternSearch),
+    /// `nsga2`, for several criteria. It has no name that users choose, because it does not minimise a cost.
+    Nsga2(Nsga2),
 }
 
 /// A method of the list.
@@ -202,6 +205,7 @@ macro_rules! each {
             AnyMethod::Auto($options) => $call,
             AnyMethod::QuadraticModel($options) => $call,
             AnyMethod::PatternSearch($options) => $call,
+            AnyMethod::Nsga2($options) => $call,
         }
     };
 }
@@ -240,6 +244,7 @@ impl AnyMethod {
             Self::Auto(_) => "auto",
             Self::QuadraticModel(_) => "quadratic-model",
             Self::PatternSearch(_) => "pattern-search",
+            Self::Nsga2(_) => Nsga2::NAME,
         }
     }
 
@@ -348,7 +353,8 @@ from_options!(
     Multistart,
     QuadraticModel,
     PatternSearch,
-    Auto
+    Auto,
+    Nsga2
 );
 
 /// Number of successive restarts without a better point after which a search with integers ends
@@ -582,7 +588,10 @@ impl AnyMethod {
         if let Self::Auto(auto) = self {
             return Ok(auto.options.clone());
         }
-        let names = self.name().parse::<Self>()?.option_names()?;
+        let names = match self {
+            Self::Nsga2(_) => self.option_names()?,
+            _ => self.name().parse::<Self>()?.option_names()?,
+        };
         let mut options = Record::new();
         values(&Value::of(self)?, &names, &mut options);
         Ok(options)

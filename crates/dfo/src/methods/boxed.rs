@@ -4,6 +4,7 @@ use crate::error::Error;
 use crate::method_interface::interface::{AnswersSoFar, Batch, Method, MethodDetails, Status};
 use crate::method_interface::linear_model::LinearModel;
 use crate::outcome::answer::Answers;
+use crate::outcome::pareto_front::ParetoFront;
 use base::RunContext;
 use std::fmt;
 
@@ -53,6 +54,9 @@ impl Method for BoxedMethod {
     }
     fn best_violation(&self) -> f64 {
         self.0.best_violation()
+    }
+    fn front(&self) -> Option<ParetoFront> {
+        self.0.front()
     }
     fn linear_model(&self, context: &RunContext<'_>) -> Option<LinearModel> {
         self.0.linear_model(context)

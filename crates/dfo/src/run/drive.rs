@@ -12,6 +12,7 @@ use crate::method_interface::interface::{Batch, Method, MethodDetails, Status};
 use crate::method_interface::tolerances::{Limits, ToleranceTests};
 use crate::methods::BoxedMethod;
 use crate::outcome::answer::{Answer, EvaluationKind, Failure, Outcome};
+use crate::outcome::pareto_front::ParetoFront;
 use crate::outcome::termination::{Termination, UNBOUNDED};
 use crate::run::checkpoint::Writer;
 use crate::run::progress::Progress;
@@ -468,9 +469,11 @@ impl Drive {
             self.stage = Stage::Over(Some(Termination::Aborted(error.to_string())));
             return Err(error);
         }
-        // After an interrupt, residuals are no longer used, and processing many of them is slow.
-        let is_left =
-            stopped == Some(Termination::Interrupted) && self.batch.kind() == EvaluationKind::Residuals;
+        // After an interrupt, residuals are no longer used, and processing many of them is slow. Criteria are few,
+        // and the front contains their points.
+        let is_left = stopped == Some(Termination::Interrupted)
+            && self.batch.kind() == EvaluationKind::Residuals
+            && self.method.front().is_none();
         if !is_left {
             self.method.tell_last(self.round.reported(&self.batch))?;
         }
@@ -551,6 +554,9 @@ impl Drive {
         self.observed = Some(n_iterations);
         let first_recent = std::mem::replace(&mut self.first_recent, ledger.trace.end());
         let Some(observer) = observer else { return false };
+        let front = self.method.front();
+        let compromise = front.as_ref().and_then(ParetoFront::compromise);
+        let (x, fun) = compromise.map_or((x, fun), |(point, distance)| (&point.x[..], distance));
         let progress = Progress {
             n_iterations,
             n_evaluations: ledger.n_evaluations,
@@ -561,6 +567,7 @@ impl Drive {
             operation,
             simplex: details.simplex,
             population: details.population,
+            front: front.as_ref(),
             tests: details.tests,
             seconds,
             trace: &ledger.trace,

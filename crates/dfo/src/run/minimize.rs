@@ -7,7 +7,7 @@ use crate::evaluation::{
 };
 use crate::method_interface::interface::{Method, MethodOptions};
 use crate::method_interface::tolerances::{Limits, Tolerances};
-use crate::methods::{AnyMethod, LeastSquares, NelderMead};
+use crate::methods::{AnyMethod, LeastSquares, NelderMead, Nsga2};
 use crate::outcome::answer::Outcome;
 use crate::outcome::trace::{Trace, TraceEntry};
 use crate::problem::constraints::Constraints;
@@ -67,6 +67,32 @@ pub fn minimize<'a>(objective: impl Objective + 'a) -> Minimize<'a, NelderMead> 
 /// ```
 pub fn least_squares<'a>(function: impl ResidualFunction + 'a) -> Minimize<'a, LeastSquares> {
     minimize(residuals(function)).method(LeastSquares::default())
+}
+
+/// Minimises several criteria at once: searches for their Pareto front by NSGA-II ([`Nsga2`]). The function
+/// appends the criteria to the empty vector. Short for
+/// `minimize(residuals(function)).method(Nsga2::default())`.
+///
+/// The criteria take the place of residuals, so every objective with residuals can be used in the same way.
+/// Every free parameter requires two finite bounds. The result is [`Report::front`]. Limits of the cost
+/// ([`Minimize::target`]) refer to the outcome of an evaluation, which for [`residuals`] is the sum of
+/// squares.
+///
+/// ```
+/// // The squared distances to (1, 0) and (-1, 0): the best points are on the line between them.
+/// let distances = |x: &[f64], out: &mut Vec<f64>| {
+///     out.extend([1.0, -1.0].map(|a: f64| (x[0] - a).powi(2) + x[1] * x[1]));
+/// };
+/// let report = dfo::pareto(distances).bounds(&[-3.0; 2], &[3.0; 2])?.seed(1).max_evaluations(3000).run()?;
+/// let front = report.front.unwrap_or_default();
+/// assert_eq!(front.points.len(), 100);
+/// assert!(front.points.iter().all(|point| point.x[1].abs() < 0.1));
+/// let compromise = front.compromise().map(|(point, _)| &point.x);
+/// assert!(compromise.is_some_and(|x| x[0].abs() < 0.1));
+/// # Ok::<(), dfo::Error>(())
+/// ```
+pub fn pareto<'a>(function: impl ResidualFunction + 'a) -> Minimize<'a, Nsga2> {
+    minimize(residuals(function)).method(Nsga2::default())
 }
 
 /// Minimises with a function that evaluates whole batches on the calling thread. Use it for vectorised

@@ -2,6 +2,7 @@
 
 use crate::method_interface::interface::{Operation, SimplexView};
 use crate::method_interface::tolerances::ToleranceTests;
+use crate::outcome::pareto_front::ParetoFront;
 use crate::outcome::trace::{Trace, TraceEntry};
 
 /// State of a run after an iteration. Iteration 0 evaluates the starting points.
@@ -15,9 +16,9 @@ pub struct Progress<'a> {
     pub n_speculative: usize,
     /// Failed evaluations so far.
     pub n_failed: usize,
-    /// Best point so far, in the user's units.
+    /// Best point so far, in the user's units. With several criteria, the compromise of the front.
     pub x: &'a [f64],
-    /// Its cost.
+    /// Its cost. With several criteria, see [`ParetoFront::compromise`].
     pub fun: f64,
     /// Operation of this iteration.
     pub operation: Operation,
@@ -25,6 +26,8 @@ pub struct Progress<'a> {
     pub simplex: Option<SimplexView<'a>>,
     /// The population, for methods that have one.
     pub population: Option<SimplexView<'a>>,
+    /// The Pareto front, for methods with several criteria.
+    pub front: Option<&'a ParetoFront>,
     /// The tolerance tests; `None` before the first iteration.
     pub tests: Option<ToleranceTests>,
     /// Seconds since the start.

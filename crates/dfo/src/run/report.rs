@@ -5,6 +5,7 @@ use crate::evaluation::ledger::Ledger;
 use crate::method_interface::interface::{BarrierStage, Lookahead, Method, Optimum, Simplex};
 use crate::method_interface::linear_model::{Covariance, Dependence, LinearModel};
 use crate::method_interface::tolerances::{Limits, ToleranceTests};
+use crate::outcome::pareto_front::ParetoFront;
 use crate::outcome::termination::{Termination, UNBOUNDED};
 use crate::outcome::trace::Trace;
 use crate::problem::constraints::ActiveConstraint;
@@ -36,9 +37,10 @@ impl fmt::Display for Resumed {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Report {
-    /// Best point, in the user's units and order.
+    /// Best point, in the user's units and order. With several criteria, the compromise of the front.
     pub x: Vec<f64>,
-    /// Cost of the best point, the smallest of all used points.
+    /// Cost of the best point, the smallest of all used points. With several criteria, the distance of the
+    /// compromise, see [`ParetoFront::compromise`].
     pub fun: f64,
     /// Number of evaluations of the path of the method. Budgets limit this number. It is the same for any
     /// number of workers.
@@ -126,15 +128,28 @@ pub struct Report {
     /// Equalities and constraints on a single parameter have none.
     #[serde(default)]
     pub multipliers: Vec<ActiveConstraint>,
+    /// Pareto front, for methods with several criteria. [`residuals`](Self::residuals) are then the criteria
+    /// of the compromise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub front: Option<ParetoFront>,
 }
 
 impl Report {
     /// True if the tolerance tests passed, the target was reached, or there was nothing to search. Also true
-    /// if only noise was left and the x test passed.
+    /// if only noise was left and the x test passed. The search for a front has no tests. It is a success if
+    /// it ended at a limit or by itself, and found a feasible point.
     pub fn is_success(&self) -> bool {
-        match self.termination {
-            Termination::Noise => self.tests.is_some_and(|tests| tests.x_passed),
-            _ => self.termination.is_success(),
+        match (&self.front, &self.termination) {
+            (
+                Some(front),
+                Termination::MaxEvaluations
+                | Termination::MaxIterations
+                | Termination::MaxTime
+                | Termination::Stalled
+                | Termination::AllFixed,
+            ) => !front.points.is_empty(),
+            (_, Termination::Noise) => self.tests.is_some_and(|tests| tests.x_passed),
+            (_, termination) => termination.is_success(),
         }
     }
 
@@ -177,6 +192,7 @@ impl Report {
             constraints: Vec::new(),
             dependent: Vec::new(),
             multipliers: Vec::new(),
+            front: None,
         }
     }
 
@@ -194,6 +210,7 @@ impl Report {
             && self.dependent.iter().all(|other| other.index < n && other.coefficients.len() == n)
             && self.schedule.iter().all(|stage| stage.x.len() == n)
             && self.optima.iter().all(|optimum| optimum.x.len() == n)
+            && self.front.as_ref().is_none_or(|front| front.is_sound(n))
     }
 
     /// Computes the covariance of the parameters from the linear model of the residuals at the end. It is
@@ -290,14 +307,21 @@ pub(crate) fn conclude(
     let Some(termination) = termination else {
         return Err(Error::AllStartsFailed(ledger.nothing_found()));
     };
-    let Some((x, fun)) = ledger.best.get().map(|(x, f)| (x.to_vec(), f)) else {
+    let Some((mut x, mut fun)) = ledger.best.get().map(|(x, f)| (x.to_vec(), f)) else {
         return Err(Error::EndedWithoutPoint { termination, found: ledger.nothing_found() });
     };
+    let front = method.front();
     let is_met = termination.is_success() || termination == Termination::Noise;
     let termination = if is_met && !ledger.is_feasible() { Termination::Infeasible } else { termination };
     let details = method.details();
-    let residuals =
+    let mut residuals =
         Some(std::mem::take(&mut ledger.best_residuals)).filter(|residuals| !residuals.is_empty());
+    let mut constr_violation = ledger.constraints.violation(&ledger.best_constraints);
+    let message = message(method, ledger, limits, &termination, fun, seconds);
+    if let Some((point, distance)) = front.as_ref().and_then(ParetoFront::compromise) {
+        (x, fun) = (point.x.clone(), distance);
+        (residuals, constr_violation) = (Some(point.criteria.clone()), point.constr_violation);
+    }
     let fits =
         |model: &LinearModel| residuals.as_ref().is_some_and(|r| model.jacobian.len() == r.len() * x.len());
     let is_over = || termination == Termination::Interrupted || context.is_over();
@@ -309,7 +333,7 @@ pub(crate) fn conclude(
         None => (None, Vec::new(), Vec::new(), Vec::new()),
     };
     Ok(Report {
-        message: message(method, ledger, limits, &termination, fun, seconds),
+        message,
         x,
         fun,
         n_evaluations: ledger.n_evaluations,
@@ -343,10 +367,11 @@ pub(crate) fn conclude(
         active,
         loss: RobustLoss::default(),
         resumed: None,
-        constr_violation: ledger.constraints.violation(&ledger.best_constraints),
+        constr_violation,
         constraints: std::mem::take(&mut ledger.best_constraints),
         dependent,
         multipliers: if multipliers.is_empty() { details.multipliers } else { multipliers },
+        front,
     })
 }
 
@@ -444,6 +469,13 @@ fn message(
             format!("{ended}; the best point violates a nonlinear constraint by {}", Number(violation))
         }
     };
+    if let Some(front) = method.front() {
+        return match front.points.len() {
+            0 => format!("{ended}; no evaluated point is feasible"),
+            1 => format!("{ended}; the front has 1 point"),
+            n => format!("{ended}; the front has {n} points"),
+        };
+    }
     let message = match (details.roughness, details.handed_over) {
         (Some(roughness), Some((points, method))) => {
             format!("{ended}; switched to {method} after {points} evaluations, because {roughness}")

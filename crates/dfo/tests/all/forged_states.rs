@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use ciborium::Value;
-use dfo::{Answers, AnyMethod, Batch, Bounds, Method, MethodOptions, Outcome, Setup, Space};
+use dfo::{Answers, AnyMethod, Batch, Bounds, Method, MethodOptions, Nsga2, Outcome, Setup, Space};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::Duration;
@@ -61,6 +61,7 @@ fn go_on(method: &mut impl Method, residuals: Residuals, rounds: usize) {
         method.details();
         method.status();
         method.best();
+        method.front();
     }
     method.linear_model(&dfo::RunContext::new());
 }
@@ -147,12 +148,12 @@ fn forged(options: &AnyMethod, residuals: Residuals, rounds: usize) -> Vec<(Stri
     all
 }
 
-fn check(name: &str, residuals: Residuals) {
-    let options: AnyMethod = name.parse().unwrap();
+fn check(options: &AnyMethod, residuals: Residuals) {
+    let name = options.name();
     let mut failures = Vec::new();
     let mut n = 0;
     for rounds in [0, 3, 12, 40] {
-        let all = forged(&options, residuals, rounds);
+        let all = forged(options, residuals, rounds);
         n += all.len();
         let (tell, reported) = channel();
         let (options, states) = (options.clone(), all.clone());
@@ -188,9 +189,15 @@ macro_rules! methods {
     ($($function:ident: $name:literal, $residuals:ident);* $(;)?) => {
         $(#[test]
         fn $function() {
-            check($name, $residuals);
+            check(&$name.parse().unwrap(), $residuals);
         })*
     };
+}
+
+#[test]
+fn nsga2() {
+    check(&Nsga2::default().population(6).into(), smooth);
+    check(&Nsga2::default().population(6).into(), failing);
 }
 
 methods!(

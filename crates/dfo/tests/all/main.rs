@@ -33,6 +33,7 @@ mod more_wild;
 mod multistart;
 mod names;
 mod nelder_mead;
+mod pareto;
 mod pattern_search;
 mod plans;
 mod quadratic_model;

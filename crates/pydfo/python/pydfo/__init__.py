@@ -2,11 +2,11 @@
 
 `FMUModel` opens a model to set, simulate and read values; `example_fmu` provides example models. `Calibration`
 combines a model, measurements and `Parameter` objects, and fits without the interpreter lock. `minimize` minimises
-any Python function, and `least_squares` minimises the sum of squares of residuals. `Optimizer` lets you control the
-run: ask for points and report their costs. `scipy_method` provides the methods for ``scipy.optimize.minimize``.
-`fmin` has the signature of the paper's tool; `pydfo.dfo` provides it together with `quad_err` for scripts written for
-that tool. `pydfo.ode` integrates systems written in Python, `pydfo.fmi` controls an instance of an FMU call by call,
-and `pydfo.compat` provides the names of FMPy and PyFMI.
+any Python function, `least_squares` minimises the sum of squares of residuals, and `pareto` minimises several criteria
+at once. `Optimizer` lets you control the run: ask for points and report their costs. `scipy_method` provides the
+methods for ``scipy.optimize.minimize``. `fmin` has the signature of the paper's tool; `pydfo.dfo` provides it together
+with `quad_err` for scripts written for that tool. `pydfo.ode` integrates systems written in Python, `pydfo.fmi`
+controls an instance of an FMU call by call, and `pydfo.compat` provides the names of FMPy and PyFMI.
 """
 
 from __future__ import annotations
@@ -59,6 +59,8 @@ if TYPE_CHECKING:
     from ._optimize.least_squares import least_squares
     from ._optimize.minimize import minimize
     from ._optimize.optimizer import Above, Asked, Optimizer
+    from ._optimize.pareto import pareto
+    from ._optimize.pareto_front import ParetoFront
     from ._optimize.progress import Progress
     from ._optimize.result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
     from ._optimize.scipy import scipy_method
@@ -85,6 +87,8 @@ _HOMES = {
     "_calibration.parameter": "LogNormal Normal Parameter",
     "_calibration.posterior": "Posterior",
     "_calibration.profile": "Profile",
+    "_optimize.pareto": "pareto",
+    "_optimize.pareto_front": "ParetoFront",
     "_optimize.progress": "Progress",
     "_optimize.result": "BarrierStage LeastSquaresResult OptimizeResult Trace",
     "_optimize.scipy": "scipy_method",
@@ -137,6 +141,7 @@ __all__ = [
     "OutputFit",
     "Parameter",
     "ParameterCheck",
+    "ParetoFront",
     "Preflight",
     "PredictionBand",
     "Process",
@@ -170,6 +175,7 @@ __all__ = [
     "load_fmu",
     "minimize",
     "ode",
+    "pareto",
     "read_description",
     "scipy_method",
 ]

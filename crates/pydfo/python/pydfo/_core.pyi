@@ -49,6 +49,7 @@ __all__ = [
     "set_launcher",
     "start_worker_ahead",
     "functions_of_fit",
+    "hypervolume",
     "is_output_scale",
     "is_sigma_text",
     "load_fit",
@@ -87,7 +88,9 @@ def minimize(
     detail: bool = False,
     batches: bool = False,
     cutoffs: bool = False,
+    front: bool = False,
 ) -> OptimizeResult: ...
+def hypervolume(points: list[list[float]], reference: list[float]) -> float | None: ...
 @final
 class Optimizer:
     def __new__(

@@ -5,7 +5,7 @@ use crate::convert::object;
 use crate::interrupt::interrupt_guard::CallingThread;
 use crate::interrupt::lock::lock;
 use base::RunContext;
-use dfo::{Outcome, Progress, Report, Simplex, Termination, ToleranceTests, Trace, TraceEntry};
+use dfo::{Outcome, ParetoFront, Progress, Report, Simplex, Termination, ToleranceTests, Trace, TraceEntry};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::exceptions::PyStopIteration;
 use pyo3::prelude::*;
@@ -29,6 +29,7 @@ pub(crate) struct Snapshot {
     tests: Option<ToleranceTests>,
     final_simplex: Option<Simplex>,
     final_population: Option<Simplex>,
+    front: Option<ParetoFront>,
     /// Evaluations of the iteration, if requested: the point, its outcome, and whether it was used.
     recent: Vec<(Vec<f64>, String, bool)>,
 }
@@ -48,6 +49,7 @@ impl Snapshot {
             tests: progress.tests,
             final_simplex: progress.simplex.map(|s| s.to_owned()),
             final_population: progress.population.map(|s| s.to_owned()),
+            front: progress.front.cloned(),
             recent: if detail { progress.recent().map(entry).collect() } else { Vec::new() },
         }
     }
@@ -61,7 +63,7 @@ impl Snapshot {
             "message": "interrupted twice; the result is the state after the last complete iteration",
         );
         record.update(ended.as_mapping())?;
-        made(&record, "result", kind.class())
+        kind.made(&record)
     }
 }
 
@@ -140,6 +142,8 @@ pub(crate) enum ResultKind {
     Cost,
     /// `pydfo.LeastSquaresResult`: `fun` contains the residuals.
     Residuals,
+    /// `pydfo.ParetoFront`.
+    Front,
 }
 
 impl ResultKind {
@@ -148,11 +152,14 @@ impl ResultKind {
         if residuals { Self::Residuals } else { Self::Cost }
     }
 
-    fn class(self) -> &'static str {
-        match self {
-            Self::Cost => "OptimizeResult",
-            Self::Residuals => "LeastSquaresResult",
-        }
+    /// Creates the result from its record.
+    fn made<'py>(self, record: &Bound<'py, PyDict>) -> PyResult<Bound<'py, PyAny>> {
+        let (module, class) = match self {
+            Self::Cost => ("result", "OptimizeResult"),
+            Self::Residuals => ("result", "LeastSquaresResult"),
+            Self::Front => ("pareto_front", "ParetoFront"),
+        };
+        made(record, module, class)
     }
 }
 
@@ -199,7 +206,7 @@ pub(crate) fn to_python<'py>(
     );
     let record = object::fields(py, &report)?;
     record.update(computed.as_mapping())?;
-    made(&record, "result", kind.class())
+    kind.made(&record)
 }
 
 /// Creates an array of `n` columns from consecutive rows.

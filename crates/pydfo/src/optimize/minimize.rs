@@ -9,8 +9,8 @@ use crate::optimize::futures;
 use crate::optimize::objective::PyObjective;
 use calibration::RunContext;
 use dfo::{
-    ByRef, Constraints, LinearConstraint, MethodOptions, Minimize, NelderMead, NonlinearConstraint, Progress,
-    Report, RequestedRun, RobustLoss, RunOptions,
+    AnyMethod, ByRef, Constraints, LinearConstraint, MethodOptions, Minimize, NelderMead,
+    NonlinearConstraint, Nsga2, Progress, Report, RequestedRun, RobustLoss, RunOptions,
 };
 use pyo3::prelude::*;
 use std::ops::ControlFlow;
@@ -60,7 +60,7 @@ impl RunSetup {
     pub(crate) fn describe<'a, D>(
         self,
         run: Minimize<'a, NelderMead, D>,
-    ) -> Result<Minimize<'a, dfo::AnyMethod, D>, dfo::Error> {
+    ) -> Result<Minimize<'a, AnyMethod, D>, dfo::Error> {
         let run = match &self.x0 {
             Some(x0) => run.start(x0),
             None => run,
@@ -88,10 +88,10 @@ impl RunSetup {
 /// workers, on the threads of a pool. With `batches`, it receives whole batches on the calling thread, see
 /// [`PyObjective::evaluate_batch`], or points one by one, see [`OnExecutor`](futures::OnExecutor). With
 /// `cutoffs`, it receives the cutoff of each point. With a `loss` and its scale among the options, it returns
-/// residuals.
+/// residuals. With `front`, the residuals are criteria, and the result is their Pareto front.
 #[pyfunction]
 #[pyo3(signature = (
-    func, x0, lower, upper, options, *, constraints=None, failures_allowed=false, observer=None, detail=false, batches=false, cutoffs=false
+    func, x0, lower, upper, options, *, constraints=None, failures_allowed=false, observer=None, detail=false, batches=false, cutoffs=false, front=false
 ))]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of a private function")]
 pub(crate) fn minimize<'py>(
@@ -107,15 +107,21 @@ pub(crate) fn minimize<'py>(
     detail: bool,
     batches: bool,
     cutoffs: bool,
+    front: bool,
 ) -> PyResult<Bound<'py, PyAny>> {
     let loss = RobustLoss::from_record(&mut options.values).map_err(|e| options.error(py, &e))?;
-    let mut requested = options.run(py, RunOptions::default(), lower.len())?;
+    let mut default = RunOptions::<AnyMethod>::default();
+    if front {
+        options.values.remove("method");
+        default.method = Nsga2::default().into();
+    }
+    let mut requested = options.run(py, default, lower.len())?;
     set_constraints(&mut requested, constraints);
     let is_constrained = !requested.options.constraints.nonlinear.is_empty();
     if loss.is_none() && requested.options.method.needs_residuals() {
         return Err(error::optimiser(py, &dfo::Error::NeedsResiduals { method: "least-squares" }));
     }
-    let kind = ResultKind::of(loss.is_some());
+    let kind = if front { ResultKind::Front } else { ResultKind::of(loss.is_some()) };
     let alone = requested.options.workers.is_none_or(|workers| workers == 1);
     let setup = RunSetup::new(x0, lower, upper, requested);
     let watch = InterruptGuard::new(py)?;
@@ -182,4 +188,11 @@ fn conclude<'py>(
         Err(_) => None,
     };
     error::ended(py, stop, raised, result)
+}
+
+/// Returns the volume that points with these criteria dominate, up to a reference point. None if the numbers
+/// of their values differ.
+#[pyfunction]
+pub(crate) fn hypervolume(points: Vec<Vec<f64>>, reference: Vec<f64>) -> Option<f64> {
+    dfo::hypervolume(&points, &reference)
 }

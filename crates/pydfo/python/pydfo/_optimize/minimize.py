@@ -255,10 +255,13 @@ def run(
     on_error: str,
     vectorized: bool,
     of_residuals: bool = False,
+    front: bool = False,
     constraints: Any = None,
     **arguments: Any,
 ) -> OptimizeResult:
-    """Minimises the cost or the residuals returned by `fun`; `of` is the function called by the user."""
+    """Minimises the cost, the residuals, or (with `front`) the criteria returned by `fun`.
+
+    `of` is the function called by the user. With `front`, `of_residuals` must be True."""
     if not callable(fun):
         raise TypeError(f"fun must be callable, not {fun!r}")
     if on_error not in ("raise", "fail"):
@@ -295,8 +298,10 @@ def run(
         observer=None if callback is None else listen(callback),
         batches=batches is not None,
         cutoffs=cutoffs,
+        front=front,
     )
-    _log.info("%s: %s; cost = %r after %d evaluations", of.__name__, result.message, result[1], result.nfev)
+    cost = "" if front else f"; cost = {result[1]!r}"
+    _log.info("%s: %s%s after %d evaluations", of.__name__, result.message, cost, result.nfev)
     return result
 
 

@@ -24,6 +24,13 @@ _NAMES = {
 }
 
 
+def points_of(front: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
+    """Returns the points of a front (k, n) and their criteria (k, m) from a record of the native code."""
+    both = (np.array([point[what] for point in front["points"]], dtype=np.float64) for what in ("x", "criteria"))
+    x, criteria = (array if array.size else np.empty((0, 0)) for array in both)
+    return x, criteria
+
+
 def named(record: dict[str, Any], of: type) -> dict[str, Any]:
     """Returns the fields of a result class from a record of the native code."""
     values = {_NAMES.get(name, name): value for name, value in record.items()}
@@ -58,6 +65,8 @@ class Progress:
         Current simplex: vertices (n + 1, n) and their costs (n + 1,), best first.
     final_population : tuple of ndarray or None
         Current population: members (m, n) and their costs (m,), best first.
+    front : tuple of ndarray or None
+        Points of the current Pareto front (k, n) and their criteria (k, m), for `pareto`.
     solve_time : float
         Wall-clock time since the start, in s.
     """
@@ -74,12 +83,14 @@ class Progress:
     f_spread: float | None
     final_simplex: tuple[FloatArray, FloatArray] | None
     final_population: tuple[FloatArray, FloatArray] | None
+    front: tuple[FloatArray, FloatArray] | None
     _recent: list[tuple[FloatArray, str, bool]]
 
     @classmethod
     def _of(cls, record: dict[str, Any]) -> Progress:
         """Creates the progress from a record of the native code."""
-        return cls(**named(record, cls))
+        front = record["front"] and points_of(record["front"])
+        return cls(**named({**record, "front": front}, cls))
 
     def __getitem__(self, key: str) -> Any:
         return vars(self)[key]

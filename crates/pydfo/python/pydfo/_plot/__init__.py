@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from .fit import fit
+from .front import front
 from .posterior import corner
 from .profile import profiles
 from .search import convergence, waterfall
@@ -10,4 +11,4 @@ from .simplex import SimplexWalk
 from .style import pyplot
 from .uncertainty import correlation, sensitivity
 
-__all__ = ["SimplexWalk", "convergence", "corner", "correlation", "fit", "profiles", "pyplot", "sensitivity", "waterfall"]
+__all__ = ["SimplexWalk", "convergence", "corner", "correlation", "fit", "front", "profiles", "pyplot", "sensitivity", "waterfall"]
