@@ -24,7 +24,7 @@ LAYERS = {
         loaded
         check uncertainty
         fit
-        intervals validation
+        intervals sensitivity validation
         report export
         jobs live_page
     """,
@@ -36,6 +36,7 @@ LAYERS = {
         method_interface
         evaluation methods sampler
         run
+        sensitivity
     """,
     "fmi": """
         macros

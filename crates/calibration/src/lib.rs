@@ -18,6 +18,7 @@
 //! - `uncertainty`: covariance, residual tests, active bounds, the preflight before a fit;
 //! - `fit`: one stage, several stages;
 //! - `intervals`: profiles, bands, samples of the posterior distribution;
+//! - `sensitivity`: effects of the parameters over the whole box;
 //! - `validation`: validation on held-out data, cross-validation;
 //! - `report`: pages and figures;
 //! - `export`: files, tables, other programs;
@@ -45,6 +46,7 @@ mod live_page;
 mod loaded;
 mod problem;
 mod report;
+mod sensitivity;
 mod uncertainty;
 mod validation;
 
@@ -101,6 +103,7 @@ pub use problem::warning::{SETUP_LOG_TARGET, SetupWarning};
 #[cfg(feature = "report")]
 pub use report::plot;
 pub use report::{ExperimentCurves, OutputCurves, Signal};
+pub use sensitivity::SensitivityOptions;
 pub use uncertainty::derived_value::DerivedValue;
 pub use uncertainty::diagnostics::lack_of_fit::LackOfFit;
 pub use uncertainty::diagnostics::prior_check::PriorConflict;

@@ -206,6 +206,19 @@ pub enum Error {
         /// Methods that support them.
         use_instead: &'static str,
     },
+    /// Too few complete trajectories or rows of a sensitivity analysis are left.
+    #[error(
+        "{left} complete {rows} are left for the sensitivity analysis; at least 2 are required{}",
+        reason.as_ref().map_or_else(String::new, |reason| format!(". Most frequent reason of missing values: {reason}"))
+    )]
+    TooFewValues {
+        /// `"trajectories"` or `"rows"`.
+        rows: &'static str,
+        /// Number of complete ones.
+        left: usize,
+        /// Most frequent reason of missing values.
+        reason: Option<String>,
+    },
     /// The number of constraint values differs from the number of nonlinear constraints.
     #[error("the objective returned {got} constraint values at x = {x:?}; expected {expected}")]
     ConstraintCount {

@@ -24,6 +24,7 @@
 //! | `ga` (`genetic`) | integer and categorical parameters combined with continuous ones, in a box | [`Genetic`] |
 //!
 //! [`pareto`] minimises several criteria at once. [`EnsembleSampler`] samples a probability density.
+//! [`SensitivityDesign`] estimates the effect of each parameter over its whole range.
 //!
 //! [`AnyMethod`] selects a method by name. [`Optimizer`] (ask/tell) leaves the evaluations to the caller.
 //! [`minimize_by`] sends them to your own [`Evaluator`], for example a cluster.
@@ -60,6 +61,7 @@ mod outcome;
 mod problem;
 mod run;
 mod sampler;
+mod sensitivity;
 mod values;
 
 pub use base::RunContext;
@@ -102,6 +104,10 @@ pub use run::progress::Progress;
 pub use run::report::{Report, Resumed};
 pub use run::requested::RequestedRun;
 pub use sampler::{EnsembleSampler, autocorrelation_time, split_r_hat, standard_normals, uniforms};
+pub use sensitivity::{
+    Effects, Evaluations, IntervalOptions, ListedPoints, MorrisEffects, OutputEffects, Sensitivity,
+    SensitivityDesign, SensitivityMethod, SobolIndices,
+};
 pub use values::choices::{BoundsHandling, ParameterKind, Search, StopRule, ToleranceMeasure, Transform};
 pub use values::fields::{field_names, read_part, read_record, read_strict};
 pub use values::record::{Record, RecordError, Value};

@@ -42,6 +42,8 @@ mod core_module {
     #[pymodule_export]
     use super::calibration::saved_fit::{functions_of_fit, load_fit};
     #[pymodule_export]
+    use super::calibration::sensitivity::calibration_sensitivity;
+    #[pymodule_export]
     use super::calibration::uncertainty::PyUncertainty;
     #[pymodule_export]
     use super::calibration::validation::{cross_validate, prediction_bands, validate};
@@ -73,6 +75,8 @@ mod core_module {
     use super::optimize::optimizer::PyOptimizer;
     #[pymodule_export]
     use super::optimize::quad_err::quad_err;
+    #[pymodule_export]
+    use super::optimize::sensitivity::sensitivity;
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {

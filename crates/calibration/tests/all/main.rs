@@ -25,6 +25,7 @@ mod prediction;
 mod problem;
 mod profile;
 mod saved_fit;
+mod sensitivity;
 mod setups;
 mod solver;
 mod stages;

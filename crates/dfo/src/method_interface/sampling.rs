@@ -132,8 +132,16 @@ fn chord(space: &Space, u: &[f64], direction: &[f64]) -> (f64, f64) {
 /// Number of bits of a Sobol coordinate.
 const BITS: usize = 32;
 
-fn sobol(seed: u64, n: usize, count: usize, out: &mut [f64]) -> Result<(), Error> {
-    if n > POLYNOMIALS.len() + 1 {
+/// Largest number of coordinates of a Sobol point.
+pub(crate) const SOBOL_DIMENSIONS: usize = POLYNOMIALS.len() + 1;
+
+/// Fills `out` with the coordinates, between 0 and 1, of `count` points of a Sobol sequence with a random
+/// digital shift.
+///
+/// # Errors
+/// Returns an error if there are more coordinates than the table supports.
+pub(crate) fn sobol(seed: u64, n: usize, count: usize, out: &mut [f64]) -> Result<(), Error> {
+    if n > SOBOL_DIMENSIONS {
         let range = "at most 40 for a Sobol sequence";
         return Err(Error::Option { name: "free parameters", value: n as f64, range });
     }

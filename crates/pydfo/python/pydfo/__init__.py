@@ -4,7 +4,8 @@
 combines a model, measurements and `Parameter` objects, and fits without the interpreter lock. `minimize` minimises
 any Python function, `least_squares` minimises the sum of squares of residuals, and `pareto` minimises several criteria
 at once. `Optimizer` lets you control the run: ask for points and report their costs. `scipy_method` provides the
-methods for ``scipy.optimize.minimize``. `fmin` has the signature of the paper's tool; `pydfo.dfo` provides it together
+methods for ``scipy.optimize.minimize``. `sensitivity` estimates the effect of each parameter of a function over its
+whole range. `fmin` has the signature of the paper's tool; `pydfo.dfo` provides it together
 with `quad_err` for scripts written for that tool. `pydfo.ode` integrates systems written in Python, `pydfo.fmi`
 controls an instance of an FMU call by call, and `pydfo.compat` provides the names of FMPy and PyFMI.
 """
@@ -64,6 +65,7 @@ if TYPE_CHECKING:
     from ._optimize.progress import Progress
     from ._optimize.result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
     from ._optimize.scipy import scipy_method
+    from ._optimize.sensitivity import Sensitivity, sensitivity
 
 _set_interpreter()
 #: Modules and the names that `pydfo` exports from them. A module is imported when one of its names is first used.
@@ -92,6 +94,7 @@ _HOMES = {
     "_optimize.progress": "Progress",
     "_optimize.result": "BarrierStage LeastSquaresResult OptimizeResult Trace",
     "_optimize.scipy": "scipy_method",
+    "_optimize.sensitivity": "Sensitivity sensitivity",
     "_calibration.export": "load_fit",
     "_calibration.settings": "Limits Process Simulation",
     "_calibration.stages": "Stage",
@@ -151,6 +154,7 @@ __all__ = [
     "PydfoError",
     "ResidualCheck",
     "Resubmit",
+    "Sensitivity",
     "Simulation",
     "SimulationError",
     "SimulationResult",
@@ -178,6 +182,7 @@ __all__ = [
     "pareto",
     "read_description",
     "scipy_method",
+    "sensitivity",
 ]
 
 

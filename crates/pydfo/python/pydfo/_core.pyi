@@ -61,6 +61,7 @@ __all__ = [
     "quad_err",
     "recorded",
     "recorded_inputs",
+    "sensitivity",
     "solve",
     "solver_of_alias",
     "time_tolerance",
@@ -69,6 +70,7 @@ __all__ = [
     "prediction_bands",
     "profile",
     "sample",
+    "calibration_sensitivity",
     "validate",
     "Uncertainty",
 ]
@@ -91,6 +93,18 @@ def minimize(
     front: bool = False,
 ) -> OptimizeResult: ...
 def hypervolume(points: list[list[float]], reference: list[float]) -> float | None: ...
+def sensitivity(
+    func: Callable[..., Any] | Futures,
+    lower: list[float],
+    upper: list[float],
+    options: Record,
+    analysis: tuple[str, int | None, int | None, bool, float, int | None],
+    names: list[str],
+    outputs: list[str] | None,
+    *,
+    failures_allowed: bool = False,
+    batches: bool = False,
+) -> dict[str, Any]: ...
 @final
 class Optimizer:
     def __new__(
@@ -266,6 +280,14 @@ def sample(
     workers: int | None,
     checkpoint: str | None,
     observer: Callable[[int], None] | None,
+) -> dict[str, Any]: ...
+def calibration_sensitivity(
+    calibration: Calibration,
+    analysis: tuple[str, int | None, int | None, bool, float, int | None],
+    seed: int | None,
+    workers: int | None,
+    max_time: float | None,
+    checkpoint: str | None,
 ) -> dict[str, Any]: ...
 def validate(
     fit: Fit, windows: list[tuple[float, float]], experiments: list[Experiment] | None

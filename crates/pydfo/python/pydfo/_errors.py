@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from ._calibration.posterior import Posterior
     from ._calibration.profile import Profile
     from ._optimize.result import OptimizeResult, Trace
+    from ._optimize.sensitivity import Sensitivity
     from .ode import OdeResult
 
 __all__ = [
@@ -147,9 +148,10 @@ class Interrupted(KeyboardInterrupt):
 
     Attributes
     ----------
-    result : OptimizeResult, OdeResult, Profile, Posterior or None
+    result : OptimizeResult, OdeResult, Profile, Posterior, Sensitivity or None
         Result up to the interrupt: a `Fit` for a fit, an `OdeResult` for `pydfo.ode.solve`, a `Profile` for
-        `Fit.profile`, a `Posterior` for `Fit.sample`. None if no point had a finite cost yet.
+        `Fit.profile`, a `Posterior` for `Fit.sample`, a `Sensitivity` for a sensitivity analysis. None if no point had
+        a finite cost yet.
     """
 
-    result: OptimizeResult | OdeResult | Profile | Posterior | None = None
+    result: OptimizeResult | OdeResult | Profile | Posterior | Sensitivity | None = None

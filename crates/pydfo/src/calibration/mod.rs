@@ -11,6 +11,7 @@ pub(crate) mod posterior;
 pub(crate) mod profile;
 pub(crate) mod recordings;
 pub(crate) mod saved_fit;
+pub(crate) mod sensitivity;
 pub(crate) mod shared;
 pub(crate) mod uncertainty;
 pub(crate) mod validation;

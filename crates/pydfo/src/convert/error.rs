@@ -40,6 +40,7 @@ pub(crate) fn optimiser(py: Python<'_>, error: &dfo::Error) -> PyErr {
             ));
         }
         dfo::Error::Record(e) => return refused(e, &message),
+        dfo::Error::TooFewValues { .. } => return CalibrationError::new_err(message),
         dfo::Error::Memory { .. } => return PyMemoryError::new_err(message),
         dfo::Error::UnknownPoint { .. } => return PyKeyError::new_err(message),
         _ => return PyValueError::new_err(message),

@@ -79,6 +79,11 @@ impl Listener {
         Self { function, detail, raised: Mutex::new(None) }
     }
 
+    /// Returns the progress with the details that the function needs.
+    pub(crate) fn snapshot(&self, progress: &Progress<'_>) -> Snapshot {
+        Snapshot::new(progress, self.detail)
+    }
+
     /// Calls the function. The run ends if the function returns True or raises; StopIteration ends it without
     /// an error.
     pub(crate) fn notify(&self, py: Python<'_>, snapshot: &Snapshot) -> ControlFlow<()> {

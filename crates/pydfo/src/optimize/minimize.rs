@@ -2,14 +2,14 @@
 
 use crate::convert::error;
 use crate::convert::record::PyRecord;
-use crate::convert::report::{self, LastProgress, Listener, ResultKind, Snapshot};
+use crate::convert::report::{self, LastProgress, Listener, ResultKind};
 use crate::interrupt::interrupt_guard::{CallingThread, EndRequest, InterruptGuard};
 use crate::interrupt::logs;
 use crate::optimize::futures;
 use crate::optimize::objective::PyObjective;
 use calibration::RunContext;
 use dfo::{
-    AnyMethod, ByRef, Constraints, LinearConstraint, MethodOptions, Minimize, NelderMead,
+    AnyMethod, ByRef, Constraints, LinearConstraint, ListedPoints, MethodOptions, Minimize, NelderMead,
     NonlinearConstraint, Nsga2, Progress, Report, RequestedRun, RobustLoss, RunOptions,
 };
 use pyo3::prelude::*;
@@ -44,6 +44,8 @@ pub(crate) struct RunSetup {
     lower: Vec<f64>,
     upper: Vec<f64>,
     requested: RequestedRun,
+    /// Points to evaluate instead of a search.
+    listed: Option<ListedPoints>,
 }
 
 impl RunSetup {
@@ -53,7 +55,12 @@ impl RunSetup {
         upper: Vec<f64>,
         requested: RequestedRun,
     ) -> Self {
-        Self { x0, lower, upper, requested }
+        Self { x0, lower, upper, requested, listed: None }
+    }
+
+    /// Evaluates these points instead of a search, and keeps their values.
+    pub(crate) fn listed(self, points: ListedPoints) -> Self {
+        Self { listed: Some(points), ..self }
     }
 
     /// Passes this setup to the optimiser.
@@ -69,17 +76,19 @@ impl RunSetup {
     }
 
     fn run(
-        self,
+        mut self,
         run: Minimize<'_, NelderMead>,
         stop: &EndRequest,
         ask: &dyn Fn() -> bool,
         observer: Option<&mut Observer<'_>>,
     ) -> Result<Report, dfo::Error> {
         let flag = stop.flag();
+        let listed = self.listed.take();
         let run = self.describe(run)?.context(RunContext::new().flagged(&flag).polling(ask));
-        match observer {
-            Some(observer) => run.observer(observer).run(),
-            None => run.run(),
+        match (listed, observer) {
+            (Some(points), _) => run.method(points).unlimited().trace_residuals().run(),
+            (None, Some(observer)) => run.observer(observer).run(),
+            (None, None) => run.run(),
         }
     }
 }
@@ -122,16 +131,51 @@ pub(crate) fn minimize<'py>(
         return Err(error::optimiser(py, &dfo::Error::NeedsResiduals { method: "least-squares" }));
     }
     let kind = if front { ResultKind::Front } else { ResultKind::of(loss.is_some()) };
-    let alone = requested.options.workers.is_none_or(|workers| workers == 1);
+    let listener = observer.map(|function| Arc::new(Listener::new(function, detail)));
+    let call = Call { failures_allowed, batches, cutoffs, is_constrained, loss };
     let setup = RunSetup::new(x0, lower, upper, requested);
+    let EndedRun { stop, raised, outcome } = run(py, func, call, setup, listener)?;
+    conclude(py, &stop, raised, outcome, kind)
+}
+
+/// Way to call a Python function, see [`minimize`].
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Call {
+    pub(crate) failures_allowed: bool,
+    pub(crate) batches: bool,
+    pub(crate) cutoffs: bool,
+    pub(crate) is_constrained: bool,
+    pub(crate) loss: Option<RobustLoss>,
+}
+
+/// A run that has ended, and the exception that ended it.
+pub(crate) struct EndedRun {
+    pub(crate) stop: Arc<EndRequest>,
+    pub(crate) raised: Option<PyErr>,
+    pub(crate) outcome: Result<Report, dfo::Error>,
+}
+
+/// Runs a setup with a Python function.
+///
+/// # Errors
+/// Returns the exception of an interrupt that the run did not answer in time.
+pub(crate) fn run(
+    py: Python<'_>,
+    func: Py<PyAny>,
+    call: Call,
+    setup: RunSetup,
+    listener: Option<Arc<Listener>>,
+) -> PyResult<EndedRun> {
+    let Call { failures_allowed, batches, cutoffs, is_constrained, loss } = call;
+    let kind = ResultKind::of(loss.is_some());
+    let alone = setup.requested.options.workers.is_none_or(|workers| workers == 1);
     let watch = InterruptGuard::new(py)?;
     let stop = Arc::clone(watch.stop());
     let objective = PyObjective::new(func, failures_allowed, cutoffs, loss, Arc::clone(&stop));
     let objective = Arc::new(objective.constrained(is_constrained));
-    let listener = observer.map(|function| Arc::new(Listener::new(function, detail)));
     let outcome = if alone || batches {
         let mut notify = |progress: &Progress<'_>| match &listener {
-            Some(listener) => listener.notify(py, &Snapshot::new(progress, detail)),
+            Some(listener) => listener.notify(py, &listener.snapshot(progress)),
             None => ControlFlow::Continue(()),
         };
         let observer = listener.is_some().then_some(&mut notify as &mut Observer<'_>);
@@ -167,7 +211,7 @@ pub(crate) fn minimize<'py>(
     let by_log = logs::pass_on(py).err();
     let raised =
         objective.take_raised(&outcome).or_else(|| listener.and_then(|l| l.take_raised())).or(by_log);
-    conclude(py, &stop, raised, outcome, kind)
+    Ok(EndedRun { stop, raised, outcome })
 }
 
 /// Returns the result, or the exception that ended the run with the result attached to it.

@@ -6,3 +6,4 @@ pub(crate) mod minimize;
 pub(crate) mod objective;
 pub(crate) mod optimizer;
 pub(crate) mod quad_err;
+pub(crate) mod sensitivity;

@@ -650,7 +650,7 @@ impl Calibration {
 
     /// Replaces the index of a parameter in an error by its name. Replaces a failure reason from a worker
     /// process by its explanation.
-    fn name_parameter(&self, mut source: dfo::Error) -> CalibrationError {
+    pub(crate) fn name_parameter(&self, mut source: dfo::Error) -> CalibrationError {
         if let (dfo::Error::AllStartsFailed(found), Ok(remote)) = (&mut source, &self.evaluator().remote) {
             found.failures.iter_mut().for_each(|(reason, _)| remote.explain_reason(reason));
         }

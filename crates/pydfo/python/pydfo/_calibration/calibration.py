@@ -25,6 +25,7 @@ from .._model.files import OpenOptions, size_limit
 from .._optimize import evaluate as _evaluate
 from .._optimize.fmin import Callback, check_callback
 from .._optimize.result import OptimizeResult
+from .._optimize.sensitivity import Sensitivity, analysis, partial_results
 from . import check as _check
 from . import cost as _cost
 from . import stages as _stages
@@ -661,6 +662,73 @@ class Calibration(Evaluation):
             folds=folds,
         )
         return CrossValidation(_core.cross_validate(self._native, requested))
+
+    @explained
+    def sensitivity(
+        self,
+        method: Literal["morris", "sobol"] = "morris",
+        n: SupportsFloat | None = None,
+        workers: SupportsIndex | None = None,
+        *,
+        levels: SupportsFloat | None = None,
+        second_order: bool = False,
+        level: SupportsFloat = 0.95,
+        n_resamples: SupportsFloat | None = None,
+        rng: int | np.random.Generator | None = None,
+        max_time: SupportsFloat | None = None,
+        checkpoint: str | os.PathLike[str] | None = None,
+    ) -> Sensitivity:
+        """Estimates the effect of each parameter on the cost and on the RMS error of each output, over the whole box of
+        the bounds.
+
+        Parameters vary independently and uniformly on their scale. Constraints between parameters are ignored. Points
+        whose simulation fails are left out and counted.
+
+        Parameters
+        ----------
+        method : {"morris", "sobol"}
+            "morris": elementary effects, with ``n * (D + 1)`` simulations of all experiments for D free parameters.
+            "sobol": first- and total-order indices, with ``n * (D + 2)`` simulations, or ``n * (2 * D + 2)`` with
+            `second_order`.
+        n, levels, second_order, level, n_resamples, rng : optional
+            As in `pydfo.sensitivity`.
+        workers : int, optional
+            Number of simulations that may run at once; None and -1 mean all cores. The result does not depend on it.
+        max_time : float, optional
+            Limit on the wall-clock time in s. The result then contains the effects from the complete trajectories or
+            rows.
+        checkpoint : path, optional
+            File for the evaluations. An existing file of the same analysis is continued; another one is rejected.
+
+        Returns
+        -------
+        Sensitivity
+            ``outputs`` are "cost" and ``rms(VARIABLE)``, with the name of the experiment if there are several.
+
+        Raises
+        ------
+        ValueError, TypeError
+            Invalid arguments, or a free parameter without finite bounds.
+        CalibrationError
+            Fewer than two trajectories or rows are complete.
+        CheckpointError, OSError
+            The file belongs to another analysis, or cannot be read or written.
+        Interrupted
+            Ctrl-C was pressed. ``result`` contains the effects from the complete trajectories or rows, if there are at
+            least two.
+        """
+        numbers = analysis(method, n, levels, second_order, level, n_resamples)
+        with partial_results():
+            return Sensitivity(
+                _core.calibration_sensitivity(
+                    self._native,
+                    numbers,
+                    _options.seed(rng),
+                    _options.worker_count("workers", workers, None),
+                    None if max_time is None else _values.number("max_time", max_time),
+                    None if checkpoint is None else _values.path("checkpoint", checkpoint),
+                )
+            )
 
     def _fit(self, result: OptimizeResult, start: list[float]) -> Fit:
         return Fit(self, result, np.array(start), self._native.solver())

@@ -7,8 +7,9 @@ from .front import front
 from .posterior import corner
 from .profile import profiles
 from .search import convergence, waterfall
+from .sensitivity import effects
 from .simplex import SimplexWalk
 from .style import pyplot
 from .uncertainty import correlation, sensitivity
 
-__all__ = ["SimplexWalk", "convergence", "corner", "correlation", "fit", "front", "profiles", "pyplot", "sensitivity", "waterfall"]
+__all__ = ["SimplexWalk", "convergence", "corner", "correlation", "effects", "fit", "front", "profiles", "pyplot", "sensitivity", "waterfall"]
