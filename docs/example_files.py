@@ -14,7 +14,7 @@ import pydfo
 
 HERE = Path(__file__).resolve().parent
 RECORDINGS = HERE.parent / "examples" / "data"
-MODELS = ("furuta", "quad_tank", "exhaust", "dahlquist", "bouncing_ball", "van_der_pol")
+MODELS = ("furuta", "quad_tank", "exhaust", "dahlquist", "bouncing_ball", "van_der_pol", "tank_control")
 
 
 def write(folder):

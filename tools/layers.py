@@ -26,7 +26,7 @@ LAYERS = {
         fit
         intervals sensitivity validation
         report export
-        jobs live_page
+        design jobs live_page
     """,
     "dfo": """
         values

@@ -22,6 +22,7 @@
 //! - `validation`: validation on held-out data, cross-validation;
 //! - `report`: pages and figures;
 //! - `export`: files, tables, other programs;
+//! - `design`: design optimisation, which minimises or maximises criteria of trajectories;
 //! - `jobs`: fits by processes that share a folder;
 //! - `live_page`: the page of a running fit.
 //!
@@ -34,6 +35,7 @@
 mod check;
 mod cost;
 mod data;
+mod design;
 mod error;
 mod export;
 mod expression;
@@ -59,6 +61,7 @@ pub use data::{
     ClockChange, CsvRequest, Data, DateError, PairUnit, ParameterSet, Series, TimeColumn, Unit,
     UnitConversion, UnitError, clock_change, date_seconds, find_column,
 };
+pub use design::{Design, DesignBuilder, DesignResult};
 pub use dfo;
 pub use dfo::ParameterKind;
 pub use error::CalibrationError;
@@ -86,6 +89,7 @@ pub use jobs::{JobDriver, JobDriverState, JobFolder, JobPoint, JobStatus};
 #[cfg(feature = "report")]
 pub use live_page::LivePage;
 pub use loaded::calibration::{Calibration, CalibrationBuilder};
+pub use loaded::design_point::{CriterionValue, DesignPoint, LimitedValue};
 pub use loaded::effort::Effort;
 pub use loaded::worker::serve_if_worker;
 pub use problem::column_units::{InputColumn, recorded_inputs};
@@ -94,6 +98,7 @@ pub use problem::definition::{ModelFile, Problem};
 pub use problem::error_model::{Coefficient, ErrorModel};
 pub use problem::experiment::{Experiment, InitialState, OutputScale, Sigma, Weight};
 pub use problem::experiment_record::ExperimentRecord;
+pub use problem::goal::{Combination, Goal};
 pub use problem::objective::{Compared, CostKind, CustomCost, CustomFailure, NamedCost};
 pub use problem::parameter::{Parameter, Scale, Target, Tie};
 pub use problem::prior::Prior;

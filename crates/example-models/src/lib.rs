@@ -27,7 +27,7 @@ macro_rules! example {
     };
 }
 
-const EXAMPLES: [Example; 8] = [
+const EXAMPLES: [Example; 9] = [
     example!("furuta"),
     example!("bouncing_ball"),
     example!("dahlquist"),
@@ -36,6 +36,7 @@ const EXAMPLES: [Example; 8] = [
     example!("switched_input"),
     example!("quad_tank"),
     example!("exhaust"),
+    example!("tank_control"),
 ];
 
 /// Returns the names that [`example_fmu`] accepts.

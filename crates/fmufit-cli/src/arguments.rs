@@ -72,6 +72,13 @@ pub(crate) enum Command {
         error,\n\
         for example a simulation that fits worse than a constant.")]
     Fit(Fit),
+    /// Search for the best design of a model: minimise or maximise a criterion of its simulations
+    #[command(after_help = "Example:\n  \
+            fmufit optimize controller.toml --checkpoint controller.ckpt\n\n\
+            The problem file has an objective such as objective = \"itae(e1)\", parameters, and optionally\n\
+            constraints and [[scenarios]]. An existing checkpoint is continued.\n\n\
+            Exits with 1 if the search did not converge or a constraint is violated.")]
+    Optimize(Optimize),
     /// Continue a fit from its checkpoint
     #[command(after_help = "Example:\n  \
             fmufit fit problem.toml --checkpoint plant.ckpt     (Ctrl-C, a reboot)\n  \
@@ -127,6 +134,7 @@ impl Command {
             | Self::Check(Check { json, .. })
             | Self::Fit(Fit { json, .. })
             | Self::Resume(Fit { json, .. })
+            | Self::Optimize(Optimize { json, .. })
             | Self::Jobs(Jobs::Run(JobsRun { json, .. }) | Jobs::Status(JobsStatus { json, .. })) => *json,
             Self::Jobs(Jobs::Next(_)) => true,
             _ => false,
@@ -365,6 +373,32 @@ pub(crate) struct Fit {
     pub(crate) report: Option<PathBuf>,
     /// Show the running fit on a local page, whose address is printed. A button on the page ends the fit.
     /// Afterwards, the page shows the report; on a terminal, until Ctrl-C
+    #[arg(long)]
+    pub(crate) watch: bool,
+    /// Print the result as a JSON document
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Optimize {
+    /// A problem file with an objective
+    #[arg(value_name = "PROBLEM.toml")]
+    pub(crate) problem: PathBuf,
+    /// An option of the search, as in [fit]; may be given several times
+    #[arg(short = 'O', long, value_name = "NAME=VALUE")]
+    pub(crate) option: Vec<String>,
+    /// A setting of the simulations, as in [settings]; may be given several times
+    #[arg(short = 'S', long, value_name = "NAME=VALUE")]
+    pub(crate) setting: Vec<String>,
+    /// File for the state of the search, which is continued if it exists
+    #[arg(long, value_name = "FILE")]
+    pub(crate) checkpoint: Option<PathBuf>,
+    /// Write a page with tables and figures
+    #[arg(short, long, value_name = "FILE.html")]
+    pub(crate) report: Option<PathBuf>,
+    /// Show the running search on a local page, whose address is printed. A button on the page ends the
+    /// search
     #[arg(long)]
     pub(crate) watch: bool,
     /// Print the result as a JSON document

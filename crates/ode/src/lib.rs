@@ -39,7 +39,7 @@ mod tableau;
 pub use base::time_tolerance;
 pub use driver::{Driver, EndConditions, Stopped};
 pub use error::{ErrorKind, Evaluated, NotFinite, Report, SimulationError, Termination, Undetermined};
-pub use observer::{EventRecord, Ignore, Observer, Sample, Side, StepView};
+pub use observer::{EventRecord, Ignore, Observer, Sample, Side, StepOutputs, StepView};
 pub use options::{AbsoluteTolerance, ChatteringPolicy, Limits, Method, Options, OptionsError};
 pub use solve::{DenseOutput, Event, Solution, Solve, SolveError, solve, solve_dae, solve_second_order};
 pub use sparsity::JacobianPattern;

@@ -1,6 +1,6 @@
 //! Reports of the driver during a run: samples, steps and events. The observer may stop the run.
 
-use crate::system::EventCause;
+use crate::system::{CallResult, EventCause};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::ops::ControlFlow;
@@ -67,6 +67,48 @@ impl fmt::Debug for StepView<'_> {
     }
 }
 
+/// An accepted step, or its part before an event, at whose times the outputs of the system can be evaluated.
+/// The system is still in the state before the step is completed, so its outputs follow the interpolated
+/// states.
+pub struct StepOutputs<'a> {
+    /// Time at its start.
+    pub start: f64,
+    /// Time at its end.
+    pub end: f64,
+    /// True if the times must be in the order of the integration.
+    pub is_ordered: bool,
+    evaluate: &'a mut dyn FnMut(f64, &mut [f64]) -> CallResult<()>,
+}
+
+impl<'a> StepOutputs<'a> {
+    pub(crate) fn new(
+        (start, end): (f64, f64),
+        is_ordered: bool,
+        evaluate: &'a mut dyn FnMut(f64, &mut [f64]) -> CallResult<()>,
+    ) -> Self {
+        Self { start, end, is_ordered, evaluate }
+    }
+
+    /// Fills in the outputs at a time between [`start`](Self::start) and [`end`](Self::end). At the start,
+    /// fills in the values after any event; at the end, the left limit. `outputs` must have one element per
+    /// output.
+    ///
+    /// # Errors
+    /// Returns the error of the system. The observer returns it unchanged.
+    pub fn outputs_at(&mut self, time: f64, outputs: &mut [f64]) -> CallResult<()> {
+        (self.evaluate)(time, outputs)
+    }
+}
+
+impl fmt::Debug for StepOutputs<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("StepOutputs")
+            .field("start", &self.start)
+            .field("end", &self.end)
+            .finish_non_exhaustive()
+    }
+}
+
 /// Receives samples, in the order of time, and events.
 pub trait Observer {
     /// Receives a sample. `Break` ends the run, which is a normal end:
@@ -82,6 +124,21 @@ pub trait Observer {
     /// Receives an accepted step, before the model is notified and before any event at its end.
     fn step(&mut self, step: &StepView<'_>) {
         let _ = step;
+    }
+
+    /// True if [`outputs`](Self::outputs) should be called for accepted steps.
+    fn needs_outputs(&self) -> bool {
+        false
+    }
+
+    /// Receives an accepted step whose outputs can be evaluated, before the samples inside it. If the system
+    /// discards one of its points, a shorter step with the same start follows, which replaces this one.
+    ///
+    /// # Errors
+    /// Returns the error of [`StepOutputs::outputs_at`].
+    fn outputs(&mut self, step: &mut StepOutputs<'_>) -> CallResult<()> {
+        let _ = step;
+        Ok(())
     }
 
     /// Receives an event after its handling.
@@ -115,6 +172,12 @@ impl<O: Observer + ?Sized> Observer for &mut O {
     }
     fn step(&mut self, step: &StepView<'_>) {
         (**self).step(step);
+    }
+    fn needs_outputs(&self) -> bool {
+        (**self).needs_outputs()
+    }
+    fn outputs(&mut self, step: &mut StepOutputs<'_>) -> CallResult<()> {
+        (**self).outputs(step)
     }
     fn event(&mut self, event: &EventRecord) {
         (**self).event(event);

@@ -269,6 +269,11 @@ pub trait HybridSystem {
         Ok(())
     }
 
+    /// True if outputs inside a step can only be evaluated in the order of time.
+    fn outputs_in_order(&self) -> bool {
+        false
+    }
+
     /// Fills in the outputs. Unlike derivatives and indicators, outputs may be NaN or infinite. The observer
     /// receives them unchanged and decides what to do.
     fn outputs(&mut self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {

@@ -28,7 +28,7 @@ mod core_module {
         PyTable, check_regular, clock_change, date_seconds, find_column, find_time,
     };
     #[pymodule_export]
-    use super::calibration::experiment::{check_parameter, is_output_scale, is_sigma_text};
+    use super::calibration::experiment::{check_parameter, is_maximised, is_output_scale, is_sigma_text};
     #[pymodule_export]
     use super::calibration::fit::PyFit;
     #[pymodule_export]

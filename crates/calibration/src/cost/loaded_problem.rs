@@ -14,6 +14,7 @@ use crate::problem::derived::{DerivedFault, Reported};
 use crate::problem::experiment::InitialState;
 use crate::problem::parameter::Parameter;
 use crate::problem::residual_layout::{PriorResidual, ResidualLayout};
+use crate::problem::resolved_goals::Goals;
 use crate::problem::row_means::take_means;
 use crate::problem::warning::SetupWarning;
 use base::Number;
@@ -21,7 +22,7 @@ use dfo::FailureKind;
 use fmi::error::ReportedError;
 use fmi::worker::check_sandbox;
 use fmi::{FmiError, Fmu, Simulator};
-use ode::{Report, Stats};
+use ode::{Observer, Report, Stats};
 use std::sync::OnceLock;
 
 /// Function that simulates with a borrowed simulator.
@@ -42,6 +43,8 @@ pub(crate) struct LoadedProblem {
     pub(crate) derived: Vec<Reported>,
     /// Constraints between the parameters.
     pub(crate) constraints: Constraints,
+    /// Goals of a design.
+    pub(crate) goals: Goals,
     /// Processes in which the model runs, or the reason why it runs in this one. The reason is `None` if the
     /// user requested it.
     pub(crate) remote: Result<Remote, Option<String>>,
@@ -96,6 +99,7 @@ impl LoadedProblem {
         let derived = problem.reported()?;
         let (constraints, satisfied) = Constraints::new(&problem, &elements)?;
         warnings.extend(satisfied);
+        let goals = Goals::new(&problem, &elements)?;
         let parameters = elements.into_iter().map(|element| element.parameter).collect();
         let remote = Remote::of(&fmu, &problem, lender);
         if problem.settings.sandbox && !fmu.is_absent() {
@@ -120,6 +124,7 @@ impl LoadedProblem {
             warnings,
             derived,
             constraints,
+            goals,
             over: OnceLock::new(),
         })
     }
@@ -145,18 +150,30 @@ impl LoadedProblem {
         })
     }
 
+    /// Returns the number of criteria of all experiments.
+    pub(crate) fn n_criteria(&self) -> usize {
+        self.simulations.iter().map(|simulation| simulation.criteria.len()).sum()
+    }
+
+    /// Returns the number of values that an evaluation computes: the residuals, then the criteria.
+    pub(crate) fn n_values(&self) -> usize {
+        self.n_residuals + self.n_criteria()
+    }
+
     /// Returns the start values of all entries of `x`.
     pub(crate) fn start(&self) -> Vec<f64> {
         self.parameters.iter().map(Parameter::start).collect()
     }
 
     /// Returns the cost at `x`: the sum of the squares of the residuals, from the first to the last. Writes
-    /// the residuals to `out`. Adds the statistics of the simulations to `stats`, without simulations that
-    /// could not start. `lend` passes a simulator of an experiment to the function that runs it. The
-    /// evaluation ends if the cost exceeds the cutoff or the context is cancelled.
+    /// the residuals to `out`, followed by the criteria of all experiments. Adds the statistics of the
+    /// simulations to `stats`, without simulations that could not start. `lend` passes a simulator of an
+    /// experiment to the function that runs it. The evaluation ends if the cost exceeds the cutoff or the
+    /// context is cancelled.
     ///
     /// # Panics
-    /// Panics if the length of `x` or `out` differs from the number of parameters or residuals.
+    /// Panics if the length of `x` or `out` differs from the number of parameters or
+    /// [values](Self::n_values).
     pub(crate) fn evaluate(
         &self,
         x: &[f64],
@@ -177,22 +194,24 @@ impl LoadedProblem {
         lend: &mut impl FnMut(usize, &mut RunOn<'_>) -> Result<Result<Report, FmiError>, CostFailure>,
     ) -> Result<f64, CostFailure> {
         let running = self.running(rule);
-        let (mut rest, priors) = out.split_at_mut(self.layout.n_measurements());
+        let (residuals, mut criteria) = out.split_at_mut(self.n_residuals);
+        let (mut rest, priors) = residuals.split_at_mut(self.layout.n_measurements());
         let mut sum = self.prior_residuals(x, priors)?;
         if sum > running.cutoff {
             return Err(CostFailure::Above);
         }
         for (k, simulation) in self.simulations.iter().enumerate() {
             let (part, others) = rest.split_at_mut(simulation.comparison.n_residuals());
-            rest = others;
-            sum = self.simulate_recording(k, x, running, sum, part, stats, lend)?;
+            let (values, other_criteria) = criteria.split_at_mut(simulation.criteria.len());
+            (rest, criteria) = (others, other_criteria);
+            sum = self.simulate_recording(k, x, running, sum, (part, values), stats, lend)?;
         }
-        let cost = sum_of_squares(out);
+        let cost = sum_of_squares(residuals);
         if cost > rule.cutoff { Err(CostFailure::Above) } else { Ok(cost) }
     }
 
-    /// Returns the cost of a single recording, without priors, and writes its residuals to `out`; see
-    /// [`evaluate`](Self::evaluate).
+    /// Returns the cost of a single recording, without priors. Writes its residuals to `out`, followed by its
+    /// criteria; see [`evaluate`](Self::evaluate).
     pub(crate) fn evaluate_recording(
         &self,
         k: usize,
@@ -202,13 +221,18 @@ impl LoadedProblem {
         stats: &mut Stats,
         mut lend: impl FnMut(usize, &mut RunOn<'_>) -> Result<Result<Report, FmiError>, CostFailure>,
     ) -> Result<f64, CostFailure> {
-        let mut simulate = || self.simulate_recording(k, x, self.running(rule), 0.0, out, stats, &mut lend);
+        let (residuals, criteria) = out.split_at_mut(self.simulations[k].comparison.n_residuals());
+        let mut simulate = || {
+            let out = (&mut *residuals, &mut *criteria);
+            self.simulate_recording(k, x, self.running(rule), 0.0, out, stats, &mut lend)
+        };
         self.fmu.repeat_if_learned(&mut simulate)?;
-        let cost = sum_of_squares(out);
+        let cost = sum_of_squares(residuals);
         if cost > rule.cutoff { Err(CostFailure::Above) } else { Ok(cost) }
     }
 
-    /// Simulates a recording and writes its residuals to `out`. Returns `sum` plus the sum of their squares.
+    /// Simulates a recording and writes its residuals and its criteria to `out`. Returns `sum` plus the sum
+    /// of their squares.
     #[allow(clippy::too_many_arguments)]
     fn simulate_recording(
         &self,
@@ -216,7 +240,7 @@ impl LoadedProblem {
         x: &[f64],
         running: CostRule<'_>,
         sum: f64,
-        out: &mut [f64],
+        (out, values): (&mut [f64], &mut [f64]),
         stats: &mut Stats,
         lend: &mut impl FnMut(usize, &mut RunOn<'_>) -> Result<Result<Report, FmiError>, CostFailure>,
     ) -> Result<f64, CostFailure> {
@@ -229,13 +253,18 @@ impl LoadedProblem {
         }
         let (schedule, shifts) = (simulation.schedule(x), simulation.output_shifts(x));
         let mut accumulator = Accumulator::new(&simulation.comparison, &schedule, &shifts, running, sum, out);
-        let ran = lend(k, &mut |simulator| simulation.run(simulator, x, &schedule, &mut accumulator))?;
+        let ran = lend(k, &mut |simulator| {
+            let run = |observer: &mut dyn Observer| simulation.run(simulator, x, &schedule, observer);
+            simulation.criteria.observe(&mut accumulator, values, run)
+        })?;
         match &ran {
             Ok(report) => *stats += report.stats,
             Err(FmiError::Simulation(error)) => *stats += error.stats,
             Err(_) => {}
         }
-        self.running_sum(k, &accumulator, ran).map_err(|no_cost| match self.simulations.len() {
+        let sum = self.running_sum(k, &accumulator, ran);
+        let sum = sum.and_then(|sum| simulation.criteria.check(values).map(|()| sum));
+        sum.map_err(|no_cost| match self.simulations.len() {
             1 => no_cost,
             _ => no_cost.in_experiment(&simulation.name),
         })
@@ -292,7 +321,8 @@ impl LoadedProblem {
         if accumulator.is_complete() {
             return Ok(accumulator.sum);
         }
-        let reason = format!("the model ended the simulation before the last measurement, at t = {end}");
+        let last = if self.problem.goals.is_empty() { "the last measurement" } else { "the final time" };
+        let reason = format!("the model ended the simulation before {last}, at t = {end}");
         Err(CostFailure::failed(FailureKind::Error, reason))
     }
 }

@@ -2,6 +2,7 @@
 
 pub(crate) mod accuracy;
 pub(crate) mod comparison;
+pub(crate) mod criteria;
 pub(crate) mod failure;
 pub(crate) mod isolated_instance;
 pub(crate) mod loaded_problem;

@@ -44,7 +44,9 @@ impl Evaluation {
 /// Best point of a search, with its residuals if they are known.
 pub(crate) struct BestPoint {
     pub(crate) x: Vec<f64>,
+    /// Number of residuals, and of values with the criteria.
     pub(crate) n_residuals: usize,
+    pub(crate) n_values: usize,
     pub(crate) residuals: Option<Vec<f64>>,
     /// Cost of the search, if it is the sum of squares and the residuals are unknown.
     pub(crate) cost: Option<f64>,
@@ -357,11 +359,11 @@ impl Remote {
     ) -> Stats {
         let stats = Mutex::new(Stats::default());
         let evaluate = |process: ProcessChoice, context: &RunContext<'_>| {
-            let (mut residuals, mut taken) = (vec![0.0; best.n_residuals], Stats::default());
+            let (mut values, mut taken) = (vec![0.0; best.n_values], Stats::default());
             let (evaluation, rule) = (Evaluation::whole(process), CostRule::whole(loss, context));
-            let cost = self.evaluate(&best.x, evaluation, rule, &mut residuals, &mut taken);
+            let cost = self.evaluate(&best.x, evaluation, rule, (&mut values, best.n_residuals), &mut taken);
             *stats.lock().unwrap_or_else(PoisonError::into_inner) += taken;
-            let bits = residuals.iter().map(|residual| residual.to_bits()).collect::<Vec<u64>>();
+            let bits = values.iter().map(|value| value.to_bits()).collect::<Vec<u64>>();
             match cost {
                 Ok(cost) => Some((cost.to_bits(), bits)),
                 Err(CostFailure::Failed { kind: FailureKind::TimedOut, .. }) => None,
@@ -375,7 +377,7 @@ impl Remote {
         if let Some(fresh) = evaluate(ProcessChoice::Fresh, context) {
             let has_cost = best.cost.is_none_or(|cost| cost.to_bits() == fresh.0);
             let has_residuals = best.residuals.as_ref().is_none_or(|residuals| {
-                residuals.iter().map(|residual| residual.to_bits()).eq(fresh.1.iter().copied())
+                residuals.iter().map(|r| r.to_bits()).eq(fresh.1.iter().copied().take(best.n_residuals))
             });
             if !has_cost || !has_residuals || used.into_iter().flatten().flatten().any(|used| used != fresh) {
                 match evaluate(ProcessChoice::Fresh, context) {
@@ -407,14 +409,14 @@ impl Remote {
         AnswerLimits { run: self.run_limit, runs, size }
     }
 
-    /// Returns the cost at a point and writes its residuals to `out`; see
-    /// [`LoadedProblem::evaluate`](crate::cost::loaded_problem::LoadedProblem::evaluate).
+    /// Returns the cost at a point. Writes its residuals, whose number is given, and its criteria to `out`;
+    /// see [`LoadedProblem::evaluate`](crate::cost::loaded_problem::LoadedProblem::evaluate).
     pub(crate) fn evaluate(
         &self,
         x: &[f64],
         evaluation: Evaluation,
         rule: CostRule<'_>,
-        out: &mut [f64],
+        (out, n_residuals): (&mut [f64], usize),
         stats: &mut Stats,
     ) -> Result<f64, CostFailure> {
         let CostRule { loss, cutoff, context } = rule;
@@ -422,7 +424,7 @@ impl Remote {
         let job = Job::Evaluate { x: x.to_vec(), loss, cutoff, accuracy, recording };
         let n = out.len();
         let mut accept = |answer: &mut Frame| {
-            let Evaluated { cost, stats } = evaluated(answer, n, cutoff)?;
+            let Evaluated { cost, stats } = evaluated(answer, n_residuals, n, cutoff)?;
             if cost.is_ok() {
                 out.copy_from_slice(&answer.numbers);
             }

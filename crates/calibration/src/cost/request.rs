@@ -87,7 +87,7 @@ impl Job {
     }
 }
 
-/// Result of an evaluation. The numbers of the frame are its residuals.
+/// Result of an evaluation. The numbers of the frame are its residuals, then its criteria.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct Evaluated {
     pub(crate) cost: Result<f64, ReportedCostFailure>,
@@ -98,16 +98,16 @@ pub(crate) fn unsaid(error: io::Error) -> FmiError {
     FmiError::BadSetting(error.to_string())
 }
 
-/// Reads an evaluation with `n` residuals and this cutoff. Checks that the cost matches the residuals,
-/// because a faulty worker may return any cost.
-pub(super) fn evaluated(answer: &Frame, n: usize, cutoff: f64) -> io::Result<Evaluated> {
+/// Reads an evaluation with `n` values and this cutoff. The first values are the residuals. Checks that the
+/// cost matches the residuals, because a faulty worker may return any cost.
+pub(super) fn evaluated(answer: &Frame, n_residuals: usize, n: usize, cutoff: f64) -> io::Result<Evaluated> {
     let evaluated: Evaluated = answer.head()?;
     let numbers = &answer.numbers;
     if let Ok(cost) = &evaluated.cost {
         if numbers.len() != n {
-            return Err(wrong(format!("{} residuals instead of {n}", numbers.len())));
+            return Err(wrong(format!("{} values instead of {n}", numbers.len())));
         }
-        let sum = sum_of_squares(numbers);
+        let sum = sum_of_squares(&numbers[..n_residuals.min(n)]);
         if !sum.is_finite() || sum.to_bits() != cost.to_bits() || sum > cutoff {
             return Err(wrong(format!("a cost of {cost} for residuals whose sum of squares is {sum}")));
         }
@@ -164,7 +164,7 @@ mod tests {
             frame
         };
         let read =
-            |frame: &Frame, cutoff: f64| evaluated(frame, 2, cutoff).map(|evaluated| evaluated.cost.ok());
+            |frame: &Frame, cutoff: f64| evaluated(frame, 2, 2, cutoff).map(|evaluated| evaluated.cost.ok());
         assert_eq!(read(&answer(25.0, &[3.0, 4.0]), f64::INFINITY).unwrap(), Some(25.0));
         let wrong = [
             (
@@ -175,7 +175,7 @@ mod tests {
             (answer(25.000000000000004, &[3.0, 4.0]), f64::INFINITY, "a cost of 25.000000000000004"),
             (answer(25.0, &[3.0, 4.0]), 20.0, "a cost of 25"),
             (answer(f64::NAN, &[f64::NAN, 4.0]), f64::INFINITY, "a cost of NaN"),
-            (answer(9.0, &[3.0]), f64::INFINITY, "1 residuals instead of 2"),
+            (answer(9.0, &[3.0]), f64::INFINITY, "1 values instead of 2"),
             (Frame::of(&"a text").unwrap(), f64::INFINITY, "its header has unexpected contents"),
         ];
         for (frame, cutoff, expected) in wrong {

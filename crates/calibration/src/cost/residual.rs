@@ -17,6 +17,8 @@ pub(crate) struct Comparison {
     outputs: Vec<Counted>,
     /// Index of the first residual of each output, followed by the end of the last output.
     begins: Vec<usize>,
+    /// Further sample times, which are compared with nothing.
+    further: Series,
 }
 
 /// Point and its residuals.
@@ -42,7 +44,13 @@ impl Comparison {
             *end += output.times.len();
             Some(*end)
         });
-        Self { begins: std::iter::once(0).chain(begins).collect(), outputs: outputs.to_vec() }
+        let begins = std::iter::once(0).chain(begins).collect();
+        Self { begins, outputs: outputs.to_vec(), further: Series::default() }
+    }
+
+    /// Adds sample times that are compared with nothing.
+    pub(crate) fn with_further(self, further: Vec<f64>) -> Self {
+        Self { further: further.into(), ..self }
     }
 
     /// Returns the number of residuals.
@@ -54,12 +62,17 @@ impl Comparison {
     /// Times that differ only by rounding share a sample.
     pub(crate) fn schedule(&self, delays: impl Fn(usize) -> f64, start: f64) -> Schedule {
         let delays: Vec<f64> = (0..self.outputs.len()).map(delays).collect();
-        let time = |output: usize, time: f64| (time - delays[output]).max(start);
-        let ends = self.outputs.iter().enumerate().filter_map(|(k, o)| Some(time(k, *o.times.last()?)));
+        let time = |output: usize, time: f64| match delays.get(output) {
+            Some(delay) => (time - delay).max(start),
+            None => time,
+        };
+        let all = || self.outputs.iter().map(|output| &output.times).chain([&self.further]).enumerate();
+        let ends = all().filter_map(|(k, times)| Some(time(k, *times.last()?)));
         let last = ends.fold(start, f64::max);
         let rounding = base::time_tolerance(start, last);
         let is_apart = |times: &[f64]| times.windows(2).all(|pair| pair[1] - pair[0] > rounding);
         if let Some((first, others)) = self.outputs.split_first()
+            && self.further.is_empty()
             && delays.iter().all(|delay| *delay == 0.0)
             && others.iter().all(|other| other.times == first.times)
             && first.times.first().is_some_and(|first| *first >= start)
@@ -67,13 +80,12 @@ impl Comparison {
         {
             return Schedule { times: first.times.clone(), samples: Vec::new() };
         }
-        let mut next = vec![0; self.outputs.len()];
-        let mut samples: Vec<Vec<u32>> =
-            self.outputs.iter().map(|o| Vec::with_capacity(o.times.len())).collect();
+        let mut next = vec![0; self.outputs.len() + 1];
+        let mut samples: Vec<Vec<u32>> = all().map(|(_, times)| Vec::with_capacity(times.len())).collect();
         let mut times: Vec<f64> = Vec::new();
         // Select the earliest of the remaining measurements.
-        while let Some((now, output)) = (self.outputs.iter().enumerate())
-            .filter_map(|(k, o)| Some((time(k, *o.times.get(next[k])?), k)))
+        while let Some((now, output)) = all()
+            .filter_map(|(k, times)| Some((time(k, *times.get(next[k])?), k)))
             .min_by(|a, b| a.0.total_cmp(&b.0))
         {
             next[output] += 1;
@@ -82,6 +94,7 @@ impl Comparison {
             }
             samples[output].push(u32::try_from(times.len() - 1).unwrap_or(u32::MAX));
         }
+        samples.pop();
         Schedule { times: times.into(), samples }
     }
 

@@ -1,6 +1,7 @@
 //! Simulation of an experiment: its plan, the assignment of the entries of `x`, and the comparison with
 //! measurements.
 
+use crate::cost::criteria::Criteria;
 use crate::cost::residual::{Comparison, Schedule};
 use crate::data::Series;
 use crate::error::CalibrationError;
@@ -33,6 +34,7 @@ pub(crate) struct Simulation {
     /// Options at the start values of the parameters, without the row times.
     pub(crate) options: SimulateOptions,
     pub(crate) comparison: Comparison,
+    pub(crate) criteria: Criteria,
     /// Schedule at the start values.
     schedule: Schedule,
     /// Times of the measurements.
@@ -54,10 +56,16 @@ impl Simulation {
         mut assigned: Assignments,
     ) -> Result<(Self, Vec<SetupWarning>), CalibrationError> {
         let (description, settings) = (fmu.description(), &problem.settings);
-        let measurements =
-            Measurements::new(experiment, description.default_experiment.start_time.unwrap_or(0.0))?;
+        let default = &description.default_experiment;
+        let default_start = default.start_time.unwrap_or(0.0);
+        let measurements = match problem.goals.is_empty() {
+            true => Measurements::new(experiment, default_start)?,
+            false => Measurements::of_scenario(experiment, (default_start, default.stop_time))?,
+        };
         let start_time = measurements.start_time;
-        let comparison = Comparison::new(&measurements.outputs);
+        let mut criteria = Criteria::new(problem, experiment, description)?;
+        let further = measurements.end.into_iter().collect();
+        let mut comparison = Comparison::new(&measurements.outputs).with_further(further);
         let signals =
             experiment.inputs.iter().map(|(input, source)| Signal::new(input, source, &experiment.data));
         let signals = signals.collect::<Result<Vec<_>, _>>()?;
@@ -76,7 +84,11 @@ impl Simulation {
         let mut start_values: Vec<_> = experiment.start_values.iter().filter(is_constant).cloned().collect();
         start_values.extend(initial_values(experiment, start_time, &mut assigned)?);
         let names: Vec<String> = assigned.variables.iter().map(|(name, _)| name.clone()).collect();
-        let run = settings.run_of_fits(description);
+        let mut run = settings.run_of_fits(description);
+        if !problem.goals.is_empty() && settings.run.relative_tolerance.is_none() {
+            let stated = default.tolerance.filter(|stated| *stated > 0.0).unwrap_or(DESIGN_TOLERANCE);
+            run.relative_tolerance = Some(stated.min(DESIGN_TOLERANCE));
+        }
         let initial_states = initial_states(experiment, &names, description, fmu.choose(run.kind)?);
         let times = comparison.schedule(|_| 0.0, start_time).times;
         let options = SimulateOptions {
@@ -86,14 +98,11 @@ impl Simulation {
             initial_states,
             steady: experiment.steady,
             parameters: names.clone(),
-            outputs: Some(experiment.outputs.iter().map(|o| o.variable.clone()).collect()),
+            outputs: Some(criteria.outputs().to_vec()),
             inputs: inputs(&signals, assigned.input_shifts(&values_at_start)),
             run,
             ..SimulateOptions::default()
         };
-        let schedule = comparison
-            .schedule(|output| assigned.outputs[output].delay.in_model(&values_at_start), start_time);
-        let is_late = schedule.times != times;
         // Row spacing settings depend on the spacing of the measurements.
         let mut plan = SimulationPlan::new(
             fmu,
@@ -103,7 +112,17 @@ impl Simulation {
                 ..options.clone()
             },
         )?;
-        if is_late {
+        if !criteria.is_empty() {
+            criteria.has_steps = plan.kind() == InterfaceKind::ModelExchange;
+            criteria.tolerance = plan.relative_tolerance();
+        }
+        if !criteria.is_empty() && !criteria.has_steps {
+            // A co-simulation is known at its communication points.
+            comparison = comparison.with_further(communication_points(&plan));
+        }
+        let schedule = comparison
+            .schedule(|output| assigned.outputs[output].delay.in_model(&values_at_start), start_time);
+        if schedule.times != times {
             plan =
                 plan.with_rows(&SimulateOptions { times: Some(schedule.times.to_vec()), ..options.clone() })?;
         }
@@ -119,6 +138,7 @@ impl Simulation {
             pool: SharedSimulator::new(Arc::new(plan)),
             options,
             comparison,
+            criteria,
             schedule,
             times,
             signals,
@@ -293,6 +313,8 @@ impl Simulation {
             options.final_time = times.last().copied();
         }
         options.parameters.clear();
+        // Outputs of criteria follow the compared ones.
+        options.outputs.iter_mut().for_each(|outputs| outputs.truncate(self.assigned.outputs.len()));
         options
             .start_values
             .extend(self.named_values(x).map(|(name, value)| (name.to_owned(), value.into())));
@@ -380,13 +402,34 @@ fn range(of: &Affine, assigned: &Assignments, elements: &[Element]) -> (f64, f64
     (one.min(other), one.max(other))
 }
 
+/// Returns the communication points of a co-simulation from its start to its end.
+fn communication_points(plan: &SimulationPlan) -> Vec<f64> {
+    let (start, end) = (plan.start_time(), plan.final_time());
+    let step = plan.regular_communication_step().unwrap_or((end - start) / DEFAULT_STEPS);
+    let tolerance = base::time_tolerance(start, end);
+    let n = ((end - start + tolerance) / step).floor();
+    let mut points: Vec<f64> = (0..=n as u64).map(|k| (start + k as f64 * step).min(end)).collect();
+    if points.last().is_some_and(|last| end - last > tolerance) {
+        points.push(end);
+    }
+    points
+}
+
+/// Default relative tolerance of designs, unless the model states a smaller one. With 1e-6, criteria of the
+/// tank controllers have relative noise of 1.6e-5, and searches with constraints end without convergence;
+/// with 1e-8, the noise is 1e-8 (`benches/design.md`).
+const DESIGN_TOLERANCE: f64 = 1e-8;
+
+/// Number of communication steps of a model that states no step size, as for the rows of a simulation.
+const DEFAULT_STEPS: f64 = 500.0;
+
 /// Returns the end time of a simulation: the last measurement, or the last sample if outputs may be early.
 fn final_time(
     measurements: &Measurements,
     assigned: &Assignments,
     elements: &[Element],
 ) -> Result<f64, CalibrationError> {
-    let mut end = measurements.start_time;
+    let mut end = measurements.end.unwrap_or(measurements.start_time);
     for (measured, Shifts { delay, .. }) in measurements.outputs.iter().zip(&assigned.outputs) {
         let (lowest, _) = range(delay, assigned, elements);
         if !lowest.is_finite() {

@@ -101,7 +101,7 @@ impl LoadedProblem {
         }
         let mut taken = Stats::default();
         let cost = match held.n {
-            1 => remote.evaluate(x, SEARCHED, rule, out, &mut taken),
+            1 => remote.evaluate(x, SEARCHED, rule, (out, self.n_residuals), &mut taken),
             workers => self.evaluate_recordings(workers, remote, x, rule, out, &mut taken),
         };
         slots.seconds.store(taken.seconds.get().to_bits(), Ordering::Relaxed);
@@ -119,7 +119,8 @@ impl LoadedProblem {
         out: &mut [f64],
         stats: &mut Stats,
     ) -> Result<f64, CostFailure> {
-        let (measured, priors) = out.split_at_mut(self.layout.n_measurements());
+        let (residuals, mut criteria) = out.split_at_mut(self.n_residuals);
+        let (measured, priors) = residuals.split_at_mut(self.layout.n_measurements());
         if self.prior_residuals(x, priors)? > rule.cutoff {
             return Err(CostFailure::Above);
         }
@@ -129,32 +130,38 @@ impl LoadedProblem {
             if k > first_failed.load(Ordering::Relaxed) {
                 return None;
             }
-            let (mut residuals, mut stats) = (vec![0.0; n_residuals(k)], Stats::default());
+            let n = n_residuals(k) + self.simulations[k].criteria.len();
+            let (mut values, mut stats) = (vec![0.0; n], Stats::default());
             let (rule, evaluation) =
                 (CostRule { context: *context, ..rule }, Evaluation { recording: Some(k), ..SEARCHED });
-            let cost = remote.evaluate(x, evaluation, rule, &mut residuals, &mut stats);
+            let cost = remote.evaluate(x, evaluation, rule, (&mut values, n_residuals(k)), &mut stats);
             if cost.is_err() {
                 first_failed.fetch_min(k, Ordering::Relaxed);
             }
-            Some((cost, residuals, stats))
+            Some((cost, values, stats))
         };
         let mut rest = measured;
-        for simulated in map(self.simulations.len(), workers, &rule.context, &simulate) {
-            let (cost, residuals, taken) = simulated.flatten().ok_or(CostFailure::Cancelled)?;
+        for (k, simulated) in
+            map(self.simulations.len(), workers, &rule.context, &simulate).into_iter().enumerate()
+        {
+            let (cost, values, taken) = simulated.flatten().ok_or(CostFailure::Cancelled)?;
             *stats += taken;
             match cost {
                 Ok(_) => {}
                 // In order, the cost may pass the cutoff before the failure.
                 Err(CostFailure::Failed { .. }) if rule.cutoff.is_finite() => {
-                    return remote.evaluate(x, SEARCHED, rule, out, stats);
+                    return remote.evaluate(x, SEARCHED, rule, (out, self.n_residuals), stats);
                 }
                 Err(failure) => return Err(failure),
             }
-            let (part, others) = rest.split_at_mut(residuals.len());
-            part.copy_from_slice(&residuals);
-            rest = others;
+            let (part, others) = rest.split_at_mut(n_residuals(k));
+            let (values_here, other_criteria) = criteria.split_at_mut(values.len() - part.len());
+            let (of_residuals, of_criteria) = values.split_at(part.len());
+            part.copy_from_slice(of_residuals);
+            values_here.copy_from_slice(of_criteria);
+            (rest, criteria) = (others, other_criteria);
         }
-        let cost = sum_of_squares(out);
+        let cost = sum_of_squares(&out[..self.n_residuals]);
         if cost > rule.cutoff { Err(CostFailure::Above) } else { Ok(cost) }
     }
 }

@@ -17,7 +17,7 @@ pub struct ExpressionError {
 }
 
 impl ExpressionError {
-    pub(super) fn new(text: &str, column: usize, message: impl Into<String>) -> Self {
+    pub(crate) fn new(text: &str, column: usize, message: impl Into<String>) -> Self {
         Self { text: text.to_owned(), column, message: message.into() }
     }
 

@@ -6,21 +6,26 @@ impl Expression {
     /// Returns the value. `values` contains one value for each of the [names](Self::names). It is NaN where a
     /// function is undefined, and if values are missing.
     pub fn value(&self, values: &[f64]) -> f64 {
-        let mut stack: Vec<f64> = Vec::with_capacity(8);
+        self.value_with(values, &mut Vec::with_capacity(8))
+    }
+
+    /// Returns the value like [`value`](Self::value), with work space.
+    pub(crate) fn value_with(&self, values: &[f64], stack: &mut Vec<f64>) -> f64 {
+        stack.clear();
         for step in &self.program {
             let last = match step {
                 Step::Number(value) => *value,
                 Step::Name(index) => values.get(*index).copied().unwrap_or(f64::NAN),
-                Step::Negate => -pop(&mut stack),
-                Step::Call(function) if !function.is_binary() => function.value(pop(&mut stack), f64::NAN),
+                Step::Negate => -pop(stack),
+                Step::Call(function) if !function.is_binary() => function.value(pop(stack), f64::NAN),
                 step => {
-                    let (b, a) = (pop(&mut stack), pop(&mut stack));
+                    let (b, a) = (pop(stack), pop(stack));
                     step.of_two(a, b)
                 }
             };
             stack.push(last);
         }
-        pop(&mut stack)
+        pop(stack)
     }
 
     /// Returns the partial derivatives with respect to the [names](Self::names), exact up to rounding

@@ -39,19 +39,13 @@ impl Function {
         Self::ALL.iter().find(|(known, _)| *known == name).map(|(_, function)| *function)
     }
 
-    pub(super) fn name(self) -> &'static str {
-        Self::ALL.iter().find(|(_, function)| *function == self).map_or("", |(name, _)| name)
-    }
-
     pub(super) fn names() -> impl Iterator<Item = &'static str> {
         Self::ALL.iter().map(|(name, _)| *name)
     }
 
-    /// Returns what to write instead of an unknown function.
-    pub(super) fn like(name: &str) -> Option<&'static str> {
-        let last = name.rsplit('.').next().unwrap_or(name);
-        let spelled = SPELLINGS.iter().find(|(other, _)| *other == last).map(|(_, known)| *known);
-        spelled.or_else(|| nearest(last, Self::names()))
+    /// Returns the name of a function of another language.
+    pub(super) fn spelled(name: &str) -> Option<&'static str> {
+        SPELLINGS.iter().find(|(other, _)| *other == name).map(|(_, listed)| *listed)
     }
 
     /// Returns the least number of arguments, and the largest if there is one.

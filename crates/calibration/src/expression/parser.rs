@@ -1,8 +1,9 @@
 //! Parser of formulas: recursive descent with a bounded depth, which emits the steps of a program.
 
 use super::error::ExpressionError;
-use super::formula::{Expression, Step};
-use super::function::{Function, constant};
+use super::formula::{Criterion, Expression, Step};
+use super::function::{Function, constant, nearest};
+use super::functional::Functional;
 use super::lexer::{Token, Word, words};
 use std::str::FromStr;
 
@@ -19,16 +20,6 @@ pub(super) struct Parser<'t> {
     depth: usize,
     /// The expression so far.
     made: Expression,
-}
-
-fn empty(text: &str) -> Expression {
-    Expression {
-        text: text.trim().to_owned(),
-        names: Vec::new(),
-        columns: Vec::new(),
-        constants: Vec::new(),
-        program: Vec::new(),
-    }
 }
 
 /// Parses an expression that fills the text.
@@ -52,7 +43,7 @@ impl<'t> Parser<'t> {
         if words.is_empty() {
             return Err(ExpressionError::new(text, 1, "the expression is empty"));
         }
-        Ok(Self { text, words, at: 0, depth: 0, made: empty(text) })
+        Ok(Self { text, words, at: 0, depth: 0, made: Expression::empty(text) })
     }
 
     /// Returns the column of the next word.
@@ -62,15 +53,15 @@ impl<'t> Parser<'t> {
 
     /// Parses a sum as a separate expression, whose columns are those of the whole text.
     pub(super) fn sum_of_its_own(&mut self) -> Result<Expression, ExpressionError> {
-        let (first, start) = (self.at, empty(self.text));
-        self.made = start;
+        let first = self.at;
+        let outer = std::mem::replace(&mut self.made, Expression::empty(""));
         self.sum()?;
         let letters = |word: &Word| word.column - 1..word.column - 1 + word.text.chars().count();
         let span = match (self.words.get(first), self.words.get(self.at - 1)) {
             (Some(one), Some(last)) => letters(one).start..letters(last).end,
             _ => 0..0,
         };
-        let mut made = std::mem::replace(&mut self.made, empty(self.text));
+        let mut made = std::mem::replace(&mut self.made, outer);
         made.text = self.text.chars().skip(span.start).take(span.len()).collect();
         Ok(made)
     }
@@ -192,7 +183,9 @@ impl<'t> Parser<'t> {
                     }
                     self.made.program.push(Step::Number(value));
                 }
-                None => self.name(name, word.column),
+                None => {
+                    self.name(name, word.column);
+                }
             },
             Token::Sign(sign) => {
                 let message = match *sign {
@@ -207,14 +200,10 @@ impl<'t> Parser<'t> {
         Ok(())
     }
 
-    fn name(&mut self, name: &str, column: usize) {
-        let names = &mut self.made.names;
-        let index = names.iter().position(|known| known == name).unwrap_or_else(|| {
-            names.push(name.to_owned());
-            self.made.columns.push(column);
-            names.len() - 1
-        });
+    fn name(&mut self, name: &str, column: usize) -> usize {
+        let index = self.made.index_of(name, column);
         self.made.program.push(Step::Name(index));
+        index
     }
 
     fn close(&mut self, opened: &Word) -> Result<(), ExpressionError> {
@@ -223,54 +212,106 @@ impl<'t> Parser<'t> {
         }
         match self.next() {
             None => {
-                let column = opened.column + opened.text.chars().count() - 1;
+                let is_function = opened.text != "(";
+                let column = opened.column + if is_function { opened.text.chars().count() } else { 0 };
                 Err(self.error_at_end(format!("')' is missing; '(' is at column {column}")))
             }
             Some(word) => Err(self.unexpected(&word)),
         }
     }
 
-    /// Parses the arguments of a function after its parenthesis.
+    /// Parses the arguments of a function or a criterion after its parenthesis.
     fn call(&mut self, word: &Word, name: &str) -> Result<(), ExpressionError> {
-        let Some(function) = Function::of_name(name) else {
-            let like = Function::like(name).map_or_else(
-                || format!("; available: {}", Function::names().collect::<Vec<_>>().join(", ")),
+        let (function, functional) = (Function::of_name(name), Functional::of_name(name));
+        if function.is_none() && functional.is_none() {
+            let like = like(name).map_or_else(
+                || format!("; available: {}", available().collect::<Vec<_>>().join(", ")),
                 |like| format!("; '{like}'?"),
             );
             return Err(self.error(word, format!("'{name}' is not a function{like}")));
-        };
-        let mut n = 0;
+        }
+        let mut arguments = Vec::new();
         self.nested(|parser| {
             loop {
-                parser.sum()?;
-                n += 1;
-                // More than two arguments of min and max are several calls.
-                if n > 2 {
-                    parser.made.program.push(Step::Call(function));
-                }
-                if n == 2 {
-                    parser.made.program.push(Step::Call(function));
-                }
+                arguments.push(parser.sum_of_its_own()?);
                 if parser.take(",").is_none() {
                     return Ok(());
                 }
             }
         })?;
         self.close(word)?;
-        let (least, most) = function.n_arguments();
+        // `max` and `min` of one argument are criteria.
+        let functional = functional.filter(|_| function.is_none() || arguments.len() == 1);
+        let (least, most) = match (functional, function) {
+            (Some(functional), _) => {
+                let (least, most) = functional.n_arguments();
+                (least, Some(most))
+            }
+            (None, function) => function.map_or((1, None), Function::n_arguments),
+        };
+        let n = arguments.len();
         if n < least || most.is_some_and(|most| n > most) {
-            let at_least = if most.is_none() { "at least " } else { "" };
-            let noun = if least == 1 { "argument" } else { "arguments" };
+            let at_least = match most {
+                None => format!("at least {least}"),
+                Some(most) if most > least => format!("{least} to {most}"),
+                Some(_) => least.to_string(),
+            };
+            let noun = if most.unwrap_or(least) == 1 { "argument" } else { "arguments" };
             let verb = if n == 1 { "is" } else { "are" };
-            let function = function.name();
-            let message = format!("{function} has {at_least}{least} {noun}, but {n} {verb} given");
-            return Err(self.error(word, message));
+            return Err(self.error(word, format!("{name} has {at_least} {noun}, but {n} {verb} given")));
         }
-        if n == 1 {
-            self.made.program.push(Step::Call(function));
+        match (functional, function) {
+            (Some(functional), _) => self.criterion(word, Criterion { functional, arguments })?,
+            (None, Some(function)) => {
+                for (k, argument) in arguments.iter().enumerate() {
+                    self.made.append(argument);
+                    // More than two arguments of min and max are several calls.
+                    if k > 0 || n == 1 {
+                        self.made.program.push(Step::Call(function));
+                    }
+                }
+            }
+            (None, None) => {}
         }
         Ok(())
     }
+
+    /// Adds a criterion, whose value is that of a name.
+    fn criterion(&mut self, word: &Word, criterion: Criterion) -> Result<(), ExpressionError> {
+        let text = criterion.text();
+        if let Some(inner) = criterion.arguments.iter().flat_map(Expression::criteria).next() {
+            let message =
+                format!("{} is one number, so it has no {}", inner.text(), criterion.functional.name());
+            return Err(self.error(word, message));
+        }
+        if let Some(first) = criterion.arguments.first().filter(|first| first.names.is_empty()) {
+            return Err(self.error(word, format!("{} contains no variable of the model", first.text)));
+        }
+        if let Some(band) = criterion.arguments.get(2) {
+            let value = if band.names.is_empty() { band.value(&[]) } else { f64::NAN };
+            if !(value > 0.0 && value < 1.0) {
+                let message =
+                    format!("the band of {text} must be a number between 0 and 1, not {}", band.text);
+                return Err(self.error(word, message));
+            }
+        }
+        let index = self.name(&text, word.column);
+        if self.made.criteria.iter().all(|(listed, _)| *listed != index) {
+            self.made.criteria.push((index, criterion));
+        }
+        Ok(())
+    }
+}
+
+/// Returns the names of all functions and criteria, without duplicates.
+fn available() -> impl Iterator<Item = &'static str> {
+    Function::names().chain(Functional::names().filter(|name| Function::of_name(name).is_none()))
+}
+
+/// Returns what to write instead of an unknown function or criterion.
+fn like(name: &str) -> Option<&'static str> {
+    let last = name.rsplit('.').next().unwrap_or(name);
+    Function::spelled(last).or_else(|| Functional::spelled(last)).or_else(|| nearest(last, available()))
 }
 
 impl FromStr for Expression {
@@ -361,7 +402,13 @@ mod tests {
             ("ln(a)", 1, "'ln' is not a function; 'log'?"),
             ("np.exp(a)", 1, "'np.exp' is not a function; 'exp'?"),
             ("log(a, b)", 1, "log has 1 argument, but 2 are given"),
-            ("max(a)", 1, "max has at least 2 arguments, but 1 is given"),
+            ("atan2(a)", 1, "atan2 has 2 arguments, but 1 is given"),
+            ("abs(a", 6, "')' is missing; '(' is at column 4"),
+            ("ise(y, 1, 2)", 1, "ise has 1 to 2 arguments, but 3 are given"),
+            ("1 + final(max(y))", 5, "max(y) is one number, so it has no final"),
+            ("max(1 + 2)", 1, "1 + 2 contains no variable of the model"),
+            ("settling_time(y, 1, 2)", 1, "must be a number between 0 and 1, not 2"),
+            ("maximum(y)", 1, "'maximum' is not a function; 'max'?"),
             ("sqrt()", 6, "an argument is missing"),
             ("'abc", 1, "the quote is not closed"),
             ("''", 1, "the name between the quotes is empty"),

@@ -1,7 +1,7 @@
 //! Relations between formulas: `a <= b`, `k1 + k2 == 1`, `0 <= a <= b`.
 
 use super::error::ExpressionError;
-use super::formula::{Expression, Step};
+use super::formula::{Criterion, Expression};
 use super::parser::Parser;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -78,6 +78,17 @@ impl Relation {
         names
     }
 
+    /// Returns the criteria of trajectories that occur.
+    pub(crate) fn criteria(&self) -> impl Iterator<Item = &Criterion> {
+        self.sides.iter().flat_map(Expression::criteria)
+    }
+
+    /// Returns the names that are not the texts of criteria, without duplicates.
+    pub(crate) fn names_of_parameters(&self) -> Vec<&str> {
+        let is_plain = |name: &&str| !self.sides.iter().any(|side| side.is_criterion(name));
+        self.names().into_iter().filter(is_plain).collect()
+    }
+
     /// Returns the comparisons of neighbours.
     pub fn inequalities(&self) -> Vec<Inequality> {
         let pairs = self.sides.windows(2).zip(&self.comparisons);
@@ -88,9 +99,8 @@ impl Relation {
 
     /// Returns an error that marks the first occurrence of a name.
     pub(crate) fn error_at_name(&self, name: &str, message: impl Into<String>) -> ExpressionError {
-        let column =
-            |side: &Expression| Some(side.columns[side.names.iter().position(|known| known == name)?]);
-        ExpressionError::new(&self.text, self.sides.iter().find_map(column).unwrap_or(1), message)
+        let column = self.sides.iter().find_map(|side| side.column_of(name));
+        ExpressionError::new(&self.text, column.unwrap_or(1), message)
     }
 
     /// Returns an error if a constant has the name of a parameter.
@@ -116,29 +126,9 @@ fn compared(left: &Expression, comparison: &str, right: &Expression) -> Inequali
     let (expression, lower, upper) = match (number(left), number(right)) {
         (_, Some(right)) => (left.clone(), low + right, high + right),
         (Some(left), None) => (right.clone(), left - high, left - low),
-        (None, None) => (difference(left, right), low, high),
+        (None, None) => (left.minus(right), low, high),
     };
     Inequality { text, expression, lower, upper }
-}
-
-fn difference(left: &Expression, right: &Expression) -> Expression {
-    let mut made = left.clone();
-    made.text = format!("{} - ({})", left.text, right.text);
-    let places: Vec<usize> = (right.names.iter().zip(&right.columns))
-        .map(|(name, column)| {
-            made.names.iter().position(|known| known == name).unwrap_or_else(|| {
-                made.names.push(name.clone());
-                made.columns.push(*column);
-                made.names.len() - 1
-            })
-        })
-        .collect();
-    made.program.extend(right.program.iter().map(|step| match step {
-        Step::Name(index) => Step::Name(places[*index]),
-        step => *step,
-    }));
-    made.program.push(Step::Subtract);
-    made
 }
 
 /// Parses a side. A side without names must have a finite value.

@@ -140,9 +140,10 @@ impl Calibration {
     ) -> EndResiduals {
         let mut at = |x: &[f64]| {
             kept.plain(x, loss).or_else(|| {
-                let mut residuals = vec![0.0; self.n_residuals()];
+                let mut residuals = vec![0.0; self.n_values()];
                 let rule = CostRule::whole(RobustLoss::default(), context);
                 let cost = (!context.is_over()).then(|| self.evaluate_into(x, rule, &mut residuals, stats));
+                residuals.truncate(self.n_residuals());
                 cost?.ok().map(|_| PointResiduals { x: x.to_vec(), residuals })
             })
         };

@@ -174,15 +174,16 @@ impl JobFolder {
             Err(reason) => failed(FailureKind::Error, reason).into(),
             Ok(mut residuals) => {
                 let (calibration, loss) = self.problem(point.name.problem, fmu)?;
-                let (n, got) = (calibration.n_residuals(), residuals.len());
+                let (n, got) = (calibration.n_values(), residuals.len());
                 if got != n {
                     return Err(CalibrationError::Setup(format!(
-                        "{got} residuals given for point '{}', expected {n}",
+                        "{got} values given for point '{}', expected {n}",
                         point.claim
                     )));
                 }
-                loss.transform_all(&mut residuals);
-                match sum_of_squares(&residuals) {
+                let n = calibration.n_residuals();
+                loss.transform_all(&mut residuals[..n]);
+                match sum_of_squares(&residuals[..n]) {
                     cost if cost.is_finite() => Answer { residuals, ..Outcome::Value(cost).into() },
                     cost => failed(FailureKind::NotFinite, format!("the cost is {cost}")).into(),
                 }

@@ -14,12 +14,14 @@ use crate::problem::constraint::Constraints;
 use crate::problem::definition::{ModelFile, Problem};
 use crate::problem::experiment::Experiment;
 use crate::problem::fingerprint::{hash, identity};
+use crate::problem::goal::{Combination, Goal};
+use crate::problem::objective::CostKind;
 use crate::problem::parameter::Parameter;
 use crate::problem::residual_layout::ResidualLayout;
 use crate::problem::settings::SimulationSettings;
 use crate::problem::warning::{SETUP_LOG_TARGET, SetupWarning};
 use base::{Number, RunContext};
-use dfo::{Answer, Checkpoint, EvaluationKind, Failure, Objective, Outcome, Query, RobustLoss};
+use dfo::{Answer, Checkpoint, EvaluationKind, Failure, FailureKind, Objective, Outcome, Query, RobustLoss};
 use fmi::worker::{Held, Isolation};
 use fmi::{CancelRequest, FmiError, Fmu, Trajectory};
 use log::Level;
@@ -62,6 +64,8 @@ pub struct CalibrationBuilder {
     parameters: Vec<Parameter>,
     settings: SimulationSettings,
     constraints: Vec<Relation>,
+    goals: Vec<Goal>,
+    combination: Combination,
 }
 
 impl CalibrationBuilder {
@@ -87,6 +91,20 @@ impl CalibrationBuilder {
         self
     }
 
+    /// Adds a goal of a [design](crate::Design). A calibration with goals has no measurements, and its fit
+    /// searches for the best value of the first goal.
+    #[must_use]
+    pub fn goal(mut self, goal: Goal) -> Self {
+        self.goals.push(goal);
+        self
+    }
+
+    /// Sets the combination of the goals over the scenarios.
+    #[must_use]
+    pub fn combination(self, combination: Combination) -> Self {
+        Self { combination, ..self }
+    }
+
     /// Sets the settings of the simulations.
     #[must_use]
     pub fn settings(mut self, settings: impl Into<SimulationSettings>) -> Self {
@@ -100,11 +118,11 @@ impl CalibrationBuilder {
     /// Returns an error for unknown names, parameters that cannot be set, and invalid bounds or data. For an
     /// unknown name, the message lists the nearest names.
     pub fn build(self) -> Result<Calibration, CalibrationError> {
-        let Self { fmu, experiments, parameters, settings, constraints } = self;
+        let Self { fmu, experiments, parameters, settings, constraints, goals, combination } = self;
         let model = ModelFile::of(&fmu)?;
         let calibration = Calibration::from_problem(
             fmu,
-            Problem { model, parameters, experiments, settings, constraints },
+            Problem { model, parameters, experiments, settings, constraints, goals, combination },
         )?;
         calibration.evaluator.check_derived_at(&calibration.start())?;
         Ok(calibration)
@@ -120,6 +138,8 @@ impl Calibration {
             parameters: Vec::new(),
             settings: SimulationSettings::default(),
             constraints: Vec::new(),
+            goals: Vec::new(),
+            combination: Combination::default(),
         }
     }
 
@@ -214,6 +234,11 @@ impl Calibration {
         &self.evaluator.layout
     }
 
+    /// Returns the number of values of an evaluation: the residuals, then the criteria of all experiments.
+    pub(crate) fn n_values(&self) -> usize {
+        self.evaluator.n_values()
+    }
+
     /// Returns the number of measurements that count. It is the length of the residual vector without the
     /// priors at its end.
     pub fn n_measurements(&self) -> usize {
@@ -262,6 +287,42 @@ impl Calibration {
     pub fn model_values(&self, experiment: usize, x: &[f64]) -> Vec<(String, f64)> {
         let simulation = &self.evaluator.simulations[experiment];
         simulation.named_values(x).map(|(name, value)| (name.to_owned(), value)).collect()
+    }
+
+    /// Returns the outcome at `x` from the sum of squares, the residuals and the criteria. Residuals that
+    /// differ from those of the measurements are written to `out`: those of a user-defined function, and the
+    /// values to minimise of the goals of a design.
+    pub(crate) fn outcome_of(
+        &self,
+        kind: &CostKind,
+        x: &[f64],
+        sum: f64,
+        (residuals, criteria): (&[f64], &[f64]),
+        out: &mut Vec<f64>,
+    ) -> Outcome {
+        if !matches!(kind, CostKind::Goals) {
+            return kind.outcome(self.residual_layout(), sum, residuals, out);
+        }
+        let goals = &self.evaluator.goals;
+        out.clear();
+        out.extend((0..goals.len()).map(|k| goals.cost(k, x, criteria)));
+        match out.iter().position(|cost| !cost.is_finite()) {
+            Some(k) => {
+                let goal = self.problem().goals.get(k).map_or("", |goal| goal.text());
+                let message = format!("the objective '{goal}' is not finite");
+                Outcome::Failed(Failure { kind: FailureKind::NotFinite, message })
+            }
+            None => Outcome::Value(out.first().copied().unwrap_or(f64::NAN)),
+        }
+    }
+
+    /// Returns the start and the end of the simulation of an experiment, counted from 0.
+    ///
+    /// # Panics
+    /// Panics if the experiment does not exist.
+    pub fn span(&self, experiment: usize) -> (f64, f64) {
+        let plan = self.evaluator.simulations[experiment].pool.plan();
+        (plan.start_time(), plan.final_time())
     }
 
     /// Returns the constraints between the parameters.
@@ -383,11 +444,23 @@ impl Calibration {
         context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> Result<(f64, Vec<f64>), CalibrationError> {
+        let (cost, mut values) = self.evaluate_values(x, context, stats)?;
+        values.truncate(self.n_residuals());
+        Ok((cost, values))
+    }
+
+    /// Returns the cost and the values at `x`: the residuals, then the criteria of all experiments.
+    pub(crate) fn evaluate_values(
+        &self,
+        x: &[f64],
+        context: &RunContext<'_>,
+        stats: &mut Stats,
+    ) -> Result<(f64, Vec<f64>), CalibrationError> {
         self.check_length(x)?;
-        let mut residuals = vec![0.0; self.n_residuals()];
+        let mut values = vec![0.0; self.n_values()];
         let rule = CostRule::whole(RobustLoss::default(), context);
-        let cost = self.evaluate_in(ProcessChoice::Compared, x, rule, &mut residuals, stats);
-        cost.map(|cost| (cost, residuals)).map_err(|no_cost| match no_cost.of_point() {
+        let cost = self.evaluate_in(ProcessChoice::Compared, x, rule, &mut values, stats);
+        cost.map(|cost| (cost, values)).map_err(|no_cost| match no_cost.of_point() {
             Ok(PointFailure { message, source }) => self.failed_at(x, message, source),
             Err(error) => error,
         })
@@ -405,8 +478,9 @@ impl Calibration {
         CalibrationError::Simulation { at, message, source }
     }
 
-    /// Evaluates a query and adds its statistics to `stats`. The work is counted in right-hand sides.
-    /// `slots`: workers that may simulate recordings of the point at the same time.
+    /// Evaluates a query and adds its statistics to `stats`. The residuals of the answer are followed by the
+    /// criteria of all experiments; see [`take_criteria`](Self::take_criteria). The work is counted in
+    /// right-hand sides. `slots`: workers that may simulate recordings of the point at the same time.
     pub(crate) fn evaluate_counted(
         &self,
         x: &[f64],
@@ -418,7 +492,7 @@ impl Calibration {
     ) {
         let before = stats.right_hand_sides;
         let ended = || query.cancelled();
-        answer.residuals.resize(self.n_residuals(), 0.0);
+        answer.residuals.resize(self.n_values(), 0.0);
         let rule = CostRule { loss, cutoff: query.cutoff, context: RunContext::new().polling(&ended) };
         let cost = match (slots, &self.evaluator.remote) {
             (Some(slots), Ok(remote)) => {
@@ -438,9 +512,6 @@ impl Calibration {
                 Outcome::Failed(Failure { kind, message: reason })
             }
         };
-        if query.kind == EvaluationKind::Cost {
-            answer.residuals.clear();
-        }
         answer.work = stats.right_hand_sides - before;
     }
 
@@ -457,7 +528,7 @@ impl Calibration {
         }
     }
 
-    /// Returns the cost and writes the residuals to `out`; see [`LoadedProblem::evaluate`].
+    /// Returns the cost and writes the residuals and the criteria to `out`; see [`LoadedProblem::evaluate`].
     pub(crate) fn evaluate_into(
         &self,
         x: &[f64],
@@ -479,7 +550,7 @@ impl Calibration {
         stats: &mut Stats,
     ) -> Result<f64, CostFailure> {
         if let Ok(remote) = &self.evaluator.remote {
-            return remote.evaluate(x, Evaluation::whole(process), rule, out, stats);
+            return remote.evaluate(x, Evaluation::whole(process), rule, (out, self.n_residuals()), stats);
         }
         self.evaluator.evaluate(x, rule, out, stats, |k, run| {
             Ok(self.evaluator.simulations[k].pool.with_simulator(&rule.context, run))
@@ -500,13 +571,18 @@ impl Calibration {
         })
     }
 
-    /// Returns the number of residuals of a recording.
+    /// Removes the criteria from the values of an answer and returns them.
+    pub(crate) fn take_criteria(&self, values: &mut Vec<f64>) -> Vec<f64> {
+        values.split_off(self.n_residuals().min(values.len()))
+    }
+
+    /// Returns the number of residuals and criteria of a recording.
     ///
     /// # Errors
     /// Returns an error if there is no recording with this index.
-    pub(crate) fn n_residuals_of(&self, k: usize) -> Result<usize, CalibrationError> {
+    pub(crate) fn n_values_of(&self, k: usize) -> Result<usize, CalibrationError> {
         let simulation = self.evaluator.simulations.get(k);
-        simulation.map(|simulation| simulation.comparison.n_residuals()).ok_or_else(|| {
+        simulation.map(|s| s.comparison.n_residuals() + s.criteria.len()).ok_or_else(|| {
             let n = self.evaluator.simulations.len();
             CalibrationError::Setup(format!("recording {k} was requested, but there are {n}"))
         })
@@ -541,6 +617,11 @@ impl Calibration {
 impl Objective for Calibration {
     fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
         self.evaluate_counted(x, query, RobustLoss::default(), None, answer, &mut Stats::default());
+        let criteria = self.take_criteria(&mut answer.residuals);
+        self.constraints().nonlinear(x, &criteria, &mut answer.constraints);
+        if query.kind == EvaluationKind::Cost {
+            answer.residuals.clear();
+        }
     }
 
     fn has_residuals(&self) -> bool {

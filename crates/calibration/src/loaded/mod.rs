@@ -3,6 +3,7 @@
 
 pub(crate) mod budget;
 pub(crate) mod calibration;
+pub(crate) mod design_point;
 pub(crate) mod effort;
 pub(crate) mod saved_file;
 pub(crate) mod simulations_around;

@@ -129,12 +129,23 @@ impl<'a> Simulations<'a> {
     /// # Errors
     /// Returns [`CalibrationError::Cancelled`], or the error that makes further simulations impossible.
     pub(crate) fn residuals(&mut self, points: &[Point]) -> Result<Vec<PointResiduals>, CalibrationError> {
+        let n = self.calibration.n_residuals();
+        let mut found = self.values(points)?;
+        found.iter_mut().flatten().for_each(|values| values.truncate(n));
+        Ok(found)
+    }
+
+    /// Returns the residuals at these points, each followed by the criteria of the simulations.
+    ///
+    /// # Errors
+    /// Returns [`CalibrationError::Cancelled`], or the error that makes further simulations impossible.
+    pub(crate) fn values(&mut self, points: &[Point]) -> Result<Vec<PointResiduals>, CalibrationError> {
         if self.context.is_over() {
             return Err(CalibrationError::Cancelled);
         }
         let (calibration, loss) = (self.calibration, self.loss);
         let task = |k: usize, context: &RunContext<'_>| {
-            let mut residuals = vec![0.0; calibration.n_residuals()];
+            let mut residuals = vec![0.0; calibration.n_values()];
             let (mut stats, rule) = (Stats::default(), CostRule::whole(loss, context));
             let Point { x, is_accurate } = &points[k];
             let accuracy = is_accurate.then(|| calibration.accurate());
@@ -217,9 +228,12 @@ impl Calibration {
         context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> Result<Option<Vec<f64>>, CalibrationError> {
-        let mut residuals = vec![0.0; self.n_residuals()];
+        let mut residuals = vec![0.0; self.n_values()];
         match self.evaluate_with(accuracy, x, CostRule::whole(loss, context), &mut residuals, stats) {
-            Ok(_) => Ok(Some(residuals)),
+            Ok(_) => {
+                residuals.truncate(self.n_residuals());
+                Ok(Some(residuals))
+            }
             Err(CostFailure::Cancelled) => Err(CalibrationError::Cancelled),
             Err(_) => Ok(None),
         }
@@ -237,7 +251,7 @@ impl Calibration {
         let Some(accuracy) = accuracy else { return self.evaluate_into(x, rule, out, stats) };
         if let Ok(remote) = &self.evaluator().remote {
             let evaluation = Evaluation { accuracy: Some(accuracy), ..Evaluation::whole(ProcessChoice::Any) };
-            return remote.evaluate(x, evaluation, rule, out, stats);
+            return remote.evaluate(x, evaluation, rule, (out, self.n_residuals()), stats);
         }
         self.evaluator().evaluate(x, rule, out, stats, |k, run| {
             let mut options = self.evaluator().simulations[k].options_at_start();

@@ -195,11 +195,11 @@ fn done(
             let (rule, mut stats) = (CostRule { loss, cutoff, context: *context }, *repeated);
             let cost = match recording {
                 None => {
-                    answer.numbers.resize(calibration.n_residuals(), 0.0);
+                    answer.numbers.resize(calibration.n_values(), 0.0);
                     calibration.evaluate_with(accuracy, &x, rule, &mut answer.numbers, &mut stats)
                 }
                 Some(k) => {
-                    answer.numbers.resize(calibration.n_residuals_of(k).map_err(model_error)?, 0.0);
+                    answer.numbers.resize(calibration.n_values_of(k).map_err(model_error)?, 0.0);
                     calibration.evaluate_recording(k, &x, rule, &mut answer.numbers, &mut stats)
                 }
             };

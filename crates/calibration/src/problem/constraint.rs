@@ -1,9 +1,10 @@
 //! Constraints between parameters, resolved to rows over the entries of `x`.
 
 use crate::error::CalibrationError;
-use crate::expression::{Affine as LinearPart, Inequality, Relation, nearest};
+use crate::expression::{Affine as LinearPart, Criterion, Inequality, Relation, nearest};
 use crate::problem::definition::{Element, Problem};
 use crate::problem::derived::{Argument, Derivation, composed, entry, inputs};
+use crate::problem::resolved_goals::with_criteria;
 use crate::problem::warning::SetupWarning;
 use base::Number;
 use dfo::{LinearConstraint, NonlinearConstraint};
@@ -29,6 +30,8 @@ pub struct Constraints {
     rows: Vec<Row>,
     /// Derived parameters of each experiment.
     derivations: Vec<Derivation>,
+    /// Number of criteria of each experiment.
+    n_criteria: usize,
 }
 
 /// One comparison in one experiment.
@@ -39,6 +42,8 @@ struct Row {
     inequality: Inequality,
     arguments: Vec<Argument>,
     experiment: usize,
+    /// True if it contains a criterion of the simulation.
+    has_criteria: bool,
     /// Linear form over `x`, if there is one.
     linear: Option<LinearPart>,
     lower: f64,
@@ -57,7 +62,10 @@ impl Problem {
             let mut parameters = self.parameters.iter().map(|p| p.name());
             parameters.any(|own| own == name) || elements.iter().any(|e| e.parameter.name() == name)
         };
-        let kept = self.constraints.iter().filter(|constraint| constraint.names().into_iter().all(is_here));
+        let kept = self
+            .constraints
+            .iter()
+            .filter(|constraint| constraint.names_of_parameters().into_iter().all(is_here));
         self.constraints = kept.cloned().collect();
         Ok(())
     }
@@ -80,6 +88,7 @@ impl Constraints {
             return Ok((made, warnings));
         }
         let n = problem.experiments.len();
+        made.n_criteria = problem.criteria().len();
         made.derivations = (0..n).map(|k| Derivation::new(problem, k, elements)).collect::<Result<_, _>>()?;
         for constraint in &problem.constraints {
             check_names(constraint, problem, elements)?;
@@ -106,9 +115,15 @@ impl Constraints {
     ) -> Result<Vec<Row>, CalibrationError> {
         let is_local = problem.local_parameters()?;
         let names = problem.experiment_names();
+        let criteria: Vec<String> = problem.criteria().iter().map(Criterion::text).collect();
         let mut rows = Vec::new();
         for inequality in constraint.inequalities() {
+            let has_criteria = inequality.expression.criteria().next().is_some();
             let place = |name: &String, k: usize| -> Option<Argument> {
+                if inequality.expression.is_criterion(name) {
+                    let c = criteria.iter().position(|text| text == name)?;
+                    return Some((self.derivations[k].len() + c, None));
+                }
                 let Some(i) = problem.parameters.iter().position(|p| p.name() == name) else {
                     let at = elements.iter().position(|element| element.parameter.name() == name)?;
                     return Some((at, elements[at].parameter.cycle()));
@@ -116,15 +131,17 @@ impl Constraints {
                 let at = self.derivations[k].entry_of(i).or_else(|| entry(elements, i, k))?;
                 Some((at, problem.parameters[i].cycle()))
             };
-            let has_local = inequality.expression.names().iter().any(|name| {
-                problem.parameters.iter().position(|p| p.name() == name).is_some_and(|i| is_local[i])
-            });
+            let has_local = has_criteria
+                || inequality.expression.names().iter().any(|name| {
+                    problem.parameters.iter().position(|p| p.name() == name).is_some_and(|i| is_local[i])
+                });
             let before = rows.len();
             for (experiment, of) in names.iter().enumerate() {
                 let arguments = inequality.expression.names().iter().map(|name| place(name, experiment));
                 let Some(arguments) = arguments.collect::<Option<Vec<Argument>>>() else { continue };
                 let forms = self.derivations[experiment].linear_forms();
-                let linear = composed(&inequality.expression, &arguments, elements.len(), &forms);
+                let linear = composed(&inequality.expression, &arguments, elements.len(), &forms)
+                    .filter(|_| !has_criteria);
                 let shift = linear.as_ref().map_or(0.0, |form| form.constant);
                 let text = match has_local && names.len() > 1 {
                     true => format!("{} [{of}]", inequality.text),
@@ -132,7 +149,16 @@ impl Constraints {
                 };
                 let (lower, upper) = (inequality.lower - shift, inequality.upper - shift);
                 let inequality = inequality.clone();
-                rows.push(Row { text, inequality, arguments, experiment, linear, lower, upper });
+                rows.push(Row {
+                    text,
+                    inequality,
+                    arguments,
+                    experiment,
+                    has_criteria,
+                    linear,
+                    lower,
+                    upper,
+                });
                 if !has_local {
                     break;
                 }
@@ -205,7 +231,9 @@ impl Constraints {
     pub(crate) fn n_equalities(&self, x: &[f64], free: &[usize]) -> usize {
         let sizes: Vec<f64> = x.iter().map(|x| if *x == 0.0 { 1.0 } else { x.abs() }).collect();
         let equalities = self.rows.iter().filter(|row| row.lower == row.upper);
-        let gradients = equalities.filter_map(|row| row.around(x, &sizes, &self.derivations));
+        let unknown = CriteriaNearby::default();
+        let gradients =
+            equalities.filter_map(|row| row.around(x, &sizes, &self.derivations, &unknown, self.n_criteria));
         let columns = gradients.filter_map(|nearby| {
             let scaled = free.iter().map(|&i| nearby.gradient[i] * sizes[i]);
             DVector::from_iterator(free.len(), scaled).try_normalize(0.0)
@@ -219,12 +247,18 @@ impl Constraints {
         self.rows.iter().find(|row| row.lower == row.upper).map(|row| row.text.as_str())
     }
 
-    /// True if all constraints hold at a point, up to rounding.
+    /// Returns the first constraint that contains a criterion of the simulation, as written.
+    pub(crate) fn first_of_simulation(&self) -> Option<&str> {
+        self.rows.iter().find(|row| row.has_criteria).map(|row| row.text.as_str())
+    }
+
+    /// True if all constraints between parameters hold at a point, up to rounding. Constraints with criteria
+    /// are never known to hold.
     pub(crate) fn hold_at(&self, x: &[f64]) -> bool {
         self.rows.iter().all(|row| {
             let value = match &row.linear {
                 Some(form) => form.slopes.iter().zip(x).map(|(a, x)| a * x).sum::<f64>(),
-                None => row.value(x, &self.derivations),
+                None => row.value(x, &self.derivations, &[], 0),
             };
             let rounding = 1e-12 * value.abs();
             row.lower - rounding <= value && value <= row.upper + rounding
@@ -232,8 +266,10 @@ impl Constraints {
     }
 
     /// Returns the constraints near a point, linearised there. `sizes`: typical sizes of the entries of `x`.
-    pub(crate) fn around(&self, x: &[f64], sizes: &[f64]) -> Vec<Nearby> {
-        self.rows.iter().filter_map(|row| row.around(x, sizes, &self.derivations)).collect()
+    /// `criteria`: the criteria of the simulations at the point, if a constraint contains any.
+    pub(crate) fn around(&self, x: &[f64], sizes: &[f64], criteria: &CriteriaNearby) -> Vec<Nearby> {
+        let around = |row: &Row| row.around(x, sizes, &self.derivations, criteria, self.n_criteria);
+        self.rows.iter().filter_map(around).collect()
     }
 
     /// Returns the smallest and the largest value of each nonlinear row.
@@ -241,16 +277,26 @@ impl Constraints {
         self.nonlinear_rows().map(|row| (row.lower, row.upper)).collect()
     }
 
-    /// Computes the values of the nonlinear rows at `x` and writes them to `out`. A value is NaN where a
+    /// Computes the values of the nonlinear rows at `x` and writes them to `out`. `criteria` contains the
+    /// criteria of all experiments; it may be empty if no constraint contains any. A value is NaN where a
     /// function is undefined.
-    pub fn nonlinear(&self, x: &[f64], out: &mut Vec<f64>) {
+    pub fn nonlinear(&self, x: &[f64], criteria: &[f64], out: &mut Vec<f64>) {
         out.clear();
-        out.extend(self.nonlinear_rows().map(|row| row.value(x, &self.derivations)));
+        let value = |row: &Row| row.value(x, &self.derivations, criteria, self.n_criteria);
+        out.extend(self.nonlinear_rows().map(value));
     }
 
     fn nonlinear_rows(&self) -> impl Iterator<Item = &Row> {
         self.rows.iter().filter(|row| row.linear.is_none())
     }
+}
+
+/// Criteria of all experiments at a point, and their derivatives.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct CriteriaNearby {
+    pub(crate) values: Vec<f64>,
+    /// Derivatives with respect to each entry of `x`; zero for fixed entries.
+    pub(crate) slopes: Vec<Vec<f64>>,
 }
 
 /// A constraint, linearised at a point.
@@ -271,19 +317,33 @@ pub(crate) struct Nearby {
 const AT_LIMIT: f64 = 1e-6;
 
 impl Row {
-    fn around(&self, x: &[f64], sizes: &[f64], derivations: &[Derivation]) -> Option<Nearby> {
+    fn around(
+        &self,
+        x: &[f64],
+        sizes: &[f64],
+        derivations: &[Derivation],
+        criteria: &CriteriaNearby,
+        n_criteria: usize,
+    ) -> Option<Nearby> {
         let (gradient, value) = match &self.linear {
             Some(form) => (form.slopes.clone(), form.slopes.iter().zip(x).map(|(a, x)| a * x).sum::<f64>()),
             None => {
                 let derivation = &derivations[self.experiment];
-                let values = derivation.extended(x);
+                let values = with_criteria(derivation, x, &criteria.values, self.experiment, n_criteria);
                 let of_names = self.inequality.expression.derivatives(&inputs(&self.arguments, &values));
                 let mut gradient = vec![0.0; x.len()];
                 for (outer, (entry, _)) in of_names.iter().zip(&self.arguments).filter(|(o, _)| **o != 0.0) {
-                    let inner = derivation.slopes(*entry, x);
+                    let inner = match entry.checked_sub(derivation.len()) {
+                        None => derivation.slopes(*entry, x),
+                        Some(criterion) => {
+                            let index = self.experiment * n_criteria + criterion;
+                            let slope = |of: &Vec<f64>| of.get(index).copied().unwrap_or(f64::NAN);
+                            criteria.slopes.iter().map(slope).collect()
+                        }
+                    };
                     gradient.iter_mut().zip(inner).for_each(|(to, inner)| *to += outer * inner);
                 }
-                (gradient, self.value(x, derivations))
+                (gradient, self.value(x, derivations, &criteria.values, n_criteria))
             }
         };
         let scale: f64 = gradient.iter().zip(sizes).map(|(slope, size)| (slope * size).abs()).sum();
@@ -295,8 +355,9 @@ impl Row {
         Some(Nearby { text: self.text.clone(), gradient, room, is_active })
     }
 
-    fn value(&self, x: &[f64], derivations: &[Derivation]) -> f64 {
-        let values = derivations[self.experiment].extended(x);
+    fn value(&self, x: &[f64], derivations: &[Derivation], criteria: &[f64], n_criteria: usize) -> f64 {
+        let derivation = &derivations[self.experiment];
+        let values = with_criteria(derivation, x, criteria, self.experiment, n_criteria);
         self.inequality.expression.value(&inputs(&self.arguments, &values))
     }
 
@@ -308,6 +369,9 @@ impl Row {
         elements: &[Element],
         derivations: &[Derivation],
     ) -> Result<Option<String>, CalibrationError> {
+        if self.has_criteria {
+            return Ok(None);
+        }
         let bounds: Vec<(f64, f64)> =
             elements.iter().map(|e| (e.parameter.lower(), e.parameter.upper())).collect();
         let start: Vec<f64> = elements.iter().map(|e| e.parameter.start()).collect();
@@ -322,7 +386,7 @@ impl Row {
                 (low, high, terms.sum::<f64>() + form.constant.abs())
             }
             None if is_constant => {
-                let value = self.value(&start, derivations);
+                let value = self.value(&start, derivations, &[], 0);
                 (value, value, value.abs())
             }
             None => return Ok(None),
@@ -369,10 +433,10 @@ fn check_names(
     if let Err(error) = constraint.check_constants(|name| names.contains(&name)) {
         return bad(constraint, &error.to_string());
     }
-    let found = constraint.names();
-    if found.is_empty() {
+    if constraint.names().is_empty() {
         return bad(constraint, "it contains no parameter. Remove it");
     }
+    let found = constraint.names_of_parameters();
     match found.iter().find(|name| !names.contains(*name)) {
         None => Ok(()),
         Some(unknown) => {
@@ -391,6 +455,7 @@ mod tests {
     use crate::data::Data;
     use crate::problem::definition::ModelFile;
     use crate::problem::experiment::Experiment;
+    use crate::problem::goal::Combination;
     use crate::problem::parameter::Parameter;
     use crate::problem::settings::SimulationSettings;
     use std::path::PathBuf;
@@ -402,6 +467,8 @@ mod tests {
             experiments: vec![Experiment::new(Data::default()); n_experiments],
             settings: SimulationSettings::default(),
             constraints: constraints.iter().map(|text| text.parse().unwrap()).collect(),
+            goals: Vec::new(),
+            combination: Combination::default(),
         }
     }
 
@@ -449,7 +516,7 @@ mod tests {
         let infinity = f64::INFINITY;
         assert_eq!(made.nonlinear_limits(), [(-infinity, 2.0), (0.1, infinity), (-infinity, 0.9)]);
         let mut out = vec![7.0];
-        made.nonlinear(&[0.5, 0.25, 1.25], &mut out);
+        made.nonlinear(&[0.5, 0.25, 1.25], &[], &mut out);
         assert_eq!(out, [2.0, 0.625, 0.25]);
     }
 

@@ -5,6 +5,7 @@ use crate::error::CalibrationError;
 use crate::expression::Relation;
 use crate::problem::error_model::ErrorModel;
 use crate::problem::experiment::{Experiment, InitialState, Measured, Weight};
+use crate::problem::goal::{Combination, Goal};
 use crate::problem::parameter::{Parameter, Tie};
 use crate::problem::resolution::{check_names, check_targets};
 use crate::problem::settings::SimulationSettings;
@@ -41,6 +42,12 @@ pub struct Problem {
     /// Constraints between the parameters, as written.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub constraints: Vec<Relation>,
+    /// Goals of a design. A problem with goals has no measurements.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub goals: Vec<Goal>,
+    /// Combination of the goals over several scenarios.
+    #[serde(default, skip_serializing_if = "Combination::is_sum")]
+    pub combination: Combination,
 }
 
 /// A fitted value: an entry of `x`.

@@ -102,21 +102,26 @@ impl Problem {
         if let Err(error) = expression.check_constants(is_name) {
             return bad(parameter, format!("expr: {error}"));
         }
-        let index = |(i, name): (usize, &String)| match self.parameters.iter().position(|p| p.name() == name)
-        {
+        if let Some(criterion) = expression.criteria().next() {
+            let text = criterion.text();
+            let message = format!("{text} needs a simulation, so no parameter can follow from it");
+            return bad(parameter, format!("expr: {}", expression.error_at_name(&text, message)));
+        }
+        let index = |name: &String| match self.parameters.iter().position(|p| p.name() == name) {
             Some(index) => Ok(index),
             None => {
                 let unknown = self.unknown_name(name, parameter.name());
                 match parameter.tie() {
                     Some(_) => bad(parameter, format!("it is tied to {unknown}")),
                     None => {
-                        let error = expression.error_at_name(i, format!("the expression contains {unknown}"));
+                        let error =
+                            expression.error_at_name(name, format!("the expression contains {unknown}"));
                         bad(parameter, format!("expr: {error}"))
                     }
                 }
             }
         };
-        expression.names().iter().enumerate().map(index).collect()
+        expression.names().iter().map(index).collect()
     }
 
     /// Describes a name that is no parameter. `except` is not suggested.
@@ -265,6 +270,11 @@ impl Derivation {
             made.entries.push(DerivedEntry { formula, arguments, name, lower, upper });
         }
         Ok(made)
+    }
+
+    /// Returns the number of extended values.
+    pub(crate) fn len(&self) -> usize {
+        self.n + self.entries.len()
     }
 
     /// Returns the entry of the value of a derived parameter.

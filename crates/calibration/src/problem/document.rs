@@ -14,9 +14,7 @@ impl Problem {
     pub(crate) fn document(&self) -> Result<Json, Error> {
         let without = |e: &Experiment| Experiment { data: Data::default(), ..e.clone() };
         let experiments = self.experiments.iter().map(without).collect();
-        let Self { model, parameters, settings, constraints, .. } = self.clone();
-        let mut document =
-            serde_json::to_value(Self { model, parameters, experiments, settings, constraints })?;
+        let mut document = serde_json::to_value(Self { experiments, ..self.clone() })?;
         for (k, (experiment, name)) in self.experiments.iter().zip(self.experiment_names()).enumerate() {
             let described = &mut document["experiments"][k];
             described["name"] = name.into();

@@ -40,6 +40,12 @@ pub struct Experiment {
     pub(crate) windows: Vec<(f64, f64)>,
     pub(crate) warm_up: Option<f64>,
     pub(crate) start_time: Option<f64>,
+    /// End of the simulation if no output is compared with a column.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) final_time: Option<f64>,
+    /// Factor of the goals in this scenario.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) weight: Option<f64>,
     pub(crate) hold_inputs: bool,
     /// Delays of compared outputs and of inputs.
     pub(crate) delays: Vec<(String, f64)>,
@@ -304,6 +310,21 @@ impl Experiment {
     /// Creates an experiment from a recording, without outputs.
     pub fn new(data: Data) -> Self {
         Self { data, ..Self::default() }
+    }
+
+    /// Sets the end of the simulation of a [scenario](crate::Design). Default: the last row of its data,
+    /// otherwise the stop time of the model.
+    #[must_use]
+    pub fn final_time(mut self, time: f64) -> Self {
+        self.final_time = Some(time);
+        self
+    }
+
+    /// Sets the factor of the goals in this [scenario](crate::Design). Default: 1.
+    #[must_use]
+    pub fn scenario_weight(mut self, weight: f64) -> Self {
+        self.weight = Some(weight);
+        self
     }
 
     /// Sets the name used in [local](Parameter::local) parameters, messages and reports. Default: `run1`,

@@ -62,6 +62,11 @@ pub struct ExperimentRecord {
     warm_up: Option<f64>,
     /// Start time of the simulation.
     start_time: Option<f64>,
+    /// End of the simulation of a scenario; default: the last row of the data, otherwise the stop time of the
+    /// model.
+    final_time: Option<f64>,
+    /// Factor of the objective in a scenario; default: 1.
+    weight: Option<f64>,
     /// The column that selects the rows in which measurements count.
     mask: Option<String>,
     /// Interval over which means are taken.
@@ -92,7 +97,8 @@ impl Experiment {
     ///   parameter; `steady` for all states, or for `*`, the other states; `steady_limit`, the longest
     ///   approach to steady state;
     /// - `start_values`: a value for each variable, or the path of an SSP parameter file;
-    /// - `name`, `windows`, `warm_up`, `start_time`, `delays`, `hold_inputs`.
+    /// - `name`, `windows`, `warm_up`, `start_time`, `delays`, `hold_inputs`;
+    /// - `final_time` and `weight` of a [scenario](crate::Design), which needs no data.
     ///
     /// # Errors
     /// Returns an error if a field is unknown or has an invalid value, and the errors of [`Data::read_csv`].
@@ -148,11 +154,19 @@ impl Experiment {
             .chain(driving)
             .chain(record.mask.clone())
             .collect();
-        let path = record
-            .data
-            .ok_or_else(|| RecordError::message("data is missing. Specify the path of a CSV file"))?;
-        let request = CsvRequest { time: record.time.as_deref(), columns: Some(&columns), context: *context };
-        let mut data = Data::read_csv(folder.join(path), request)?;
+        let is_scenario = outputs.is_empty();
+        let mut data = match record.data {
+            Some(path) => {
+                // The criteria of a scenario may refer to any column.
+                let columns = (!is_scenario).then_some(&columns[..]);
+                let request = CsvRequest { time: record.time.as_deref(), columns, context: *context };
+                Data::read_csv(folder.join(path), request)?
+            }
+            None if is_scenario && columns.is_empty() => Data::default(),
+            None => {
+                return Err(RecordError::message("data is missing. Specify the path of a CSV file").into());
+            }
+        };
         if let Some(by) = &record.mask {
             data = data.masked_by(&measured, by)?;
         }
@@ -199,6 +213,7 @@ impl Experiment {
         experiment.windows = record.windows;
         experiment.warm_up = record.warm_up;
         experiment.start_time = record.start_time;
+        (experiment.final_time, experiment.weight) = (record.final_time, record.weight);
         experiment.hold_inputs = record.hold_inputs;
         experiment.delays = read_pairs(&record.delays, "delays")?;
         Ok(experiment)

@@ -44,6 +44,12 @@ pub(crate) fn identity(
         };
         all.extend(own.into_iter().filter(is_older));
     }
+    for goal in &problem.goals {
+        all.push(("objective".to_owned(), goal.text().to_owned()));
+    }
+    if !problem.combination.is_sum() {
+        all.push(("combine".to_owned(), problem.combination.name().to_owned()));
+    }
     if !problem.constraints.is_empty() {
         let texts: Vec<&str> = problem.constraints.iter().map(Relation::text).collect();
         all.push(("constraints".to_owned(), texts.join("; ")));

@@ -45,9 +45,34 @@ pub(crate) struct Measurements {
     pub(crate) start_time: f64,
     /// Measurements of each output; none is empty.
     pub(crate) outputs: Vec<Counted>,
+    /// End of the simulation of a scenario without measurements.
+    pub(crate) end: Option<f64>,
 }
 
 impl Measurements {
+    /// Returns the span of a scenario of a design, which has no measurements. The simulation spans the rows
+    /// of the data, or `default` of the model, unless the scenario sets its start or its end.
+    pub(crate) fn of_scenario(
+        experiment: &Experiment,
+        default: (f64, Option<f64>),
+    ) -> Result<Self, CalibrationError> {
+        let time = experiment.data.time();
+        let start_time = experiment.start_time.or(time.first().copied()).unwrap_or(default.0);
+        let Some(end) = experiment.final_time.or(time.last().copied()).or(default.1) else {
+            return setup("the model states no stop time. Set the final_time of the scenario".to_owned());
+        };
+        if !(start_time.is_finite() && end.is_finite() && start_time < end) {
+            let [start, end] = [start_time, end].map(Number);
+            return setup(format!(
+                "final_time = {end} must be later than the start of the simulation, {start}"
+            ));
+        }
+        if let Some(weight) = experiment.weight.filter(|weight| !(weight.is_finite() && *weight >= 0.0)) {
+            return setup(format!("weight = {} must be a finite number of at least 0", Number(weight)));
+        }
+        Ok(Self { start_time, outputs: Vec::new(), end: Some(end) })
+    }
+
     /// Selects the measurements of an experiment. The simulation starts at `default_start` if nothing else is
     /// specified.
     pub(crate) fn new(experiment: &Experiment, default_start: f64) -> Result<Self, CalibrationError> {
@@ -86,7 +111,7 @@ impl Measurements {
                  {first}, or a window that begins later"
             ));
         }
-        let measurements = Self { start_time, outputs };
+        let measurements = Self { start_time, outputs, end: None };
         if experiment.start_time.is_none() && before_windows.is_none() {
             measurements.check_begin(experiment)?;
         }
@@ -114,7 +139,8 @@ impl Measurements {
 
     /// Returns the time of the last measurement.
     pub(crate) fn last_time(&self) -> f64 {
-        self.outputs.iter().filter_map(|o| o.times.last()).copied().fold(self.start_time, f64::max)
+        let ends = self.outputs.iter().filter_map(|o| o.times.last()).copied().chain(self.end);
+        ends.fold(self.start_time, f64::max)
     }
 }
 

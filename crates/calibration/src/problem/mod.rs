@@ -10,6 +10,7 @@ pub(crate) mod error_model;
 pub(crate) mod experiment;
 pub(crate) mod experiment_record;
 pub(crate) mod fingerprint;
+pub(crate) mod goal;
 pub(crate) mod input;
 pub(crate) mod measurements;
 pub(crate) mod objective;
@@ -18,6 +19,7 @@ mod parameter_check;
 pub(crate) mod prior;
 pub(crate) mod residual_layout;
 pub(crate) mod resolution;
+pub(crate) mod resolved_goals;
 pub(crate) mod row_means;
 #[cfg(feature = "schema")]
 pub(crate) mod schema;

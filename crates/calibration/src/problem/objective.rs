@@ -24,6 +24,9 @@ pub enum CostKind {
     Named(NamedCost),
     /// A user-defined function.
     Custom(CustomCost),
+    /// The goals of a design. A method that minimises several goals receives them as residuals; others
+    /// minimise the first one.
+    Goals,
 }
 
 /// Costs that are not sums of squares. N is the number of residuals.
@@ -157,6 +160,7 @@ impl CostKind {
             Self::SumOfSquares => "sum-of-squares",
             Self::Named(named) => named.name(),
             Self::Custom(custom) => &custom.name,
+            Self::Goals => "goals",
         }
     }
 
@@ -188,6 +192,7 @@ impl CostKind {
             Self::SumOfSquares => true,
             Self::Named(named) => *named == NamedCost::Likelihood,
             Self::Custom(custom) => custom.gives_residuals,
+            Self::Goals => false,
         }
     }
 
@@ -232,6 +237,8 @@ impl CostKind {
             Self::SumOfSquares => Outcome::Value(sum),
             Self::Named(named) => Outcome::Value(named.cost(layout, residuals)),
             Self::Custom(custom) => custom.outcome(layout, residuals, custom_residuals),
+            // Goals follow from criteria, not from residuals.
+            Self::Goals => Outcome::failed("a design has no residuals".to_owned()),
         }
     }
 }

@@ -107,6 +107,9 @@ impl Calibration {
         context: &RunContext<'_>,
     ) -> Result<Vec<ExperimentCurves>, CalibrationError> {
         self.check_length(&fit.x)?;
+        if !self.problem().goals.is_empty() {
+            return self.curves_of_design(fit, context);
+        }
         let layout = fit.residual_layout(self);
         let residuals = match &fit.uncertainty {
             Some(uncertainty) if uncertainty.residuals.len() == layout.n_residuals() => {
@@ -159,6 +162,42 @@ impl Calibration {
             })
         };
         names.into_iter().enumerate().map(curves).collect()
+    }
+
+    /// Returns the variables in the criteria of a design, at the start and at the result.
+    fn curves_of_design(
+        &self,
+        fit: &Fit,
+        context: &RunContext<'_>,
+    ) -> Result<Vec<ExperimentCurves>, CalibrationError> {
+        let curves = |(k, name): (usize, String)| {
+            let (start, end) = self.span(k);
+            let rows: Vec<f64> = (0..CURVE_POINTS)
+                .map(|i| (end - start) * i as f64 / (CURVE_POINTS - 1) as f64 + start)
+                .collect();
+            let variables = self.evaluator().simulations[k].criteria.outputs();
+            let simulate = |x: &[f64]| self.simulate_variables(k, x, Some(&rows), variables, context);
+            let (at_start, at_end) = (simulate(&fit.start).ok(), simulate(&fit.x)?);
+            let output = |(i, variable): (usize, &String)| {
+                let of = |found: &Trajectory| Some(self.signal(variable, &found.time, found.columns.get(i)?));
+                OutputCurves {
+                    measured: self.signal(variable, &[], &[]),
+                    residuals: Vec::new(),
+                    sigma: None,
+                    start: at_start.as_ref().and_then(of),
+                    fitted: of(&at_end),
+                }
+            };
+            Ok(ExperimentCurves {
+                name,
+                time_unit: self.fmu().description().time_unit().to_owned(),
+                first_date: None,
+                windows: Vec::new(),
+                outputs: variables.iter().enumerate().map(output).collect(),
+                inputs: Vec::new(),
+            })
+        };
+        self.problem().experiment_names().into_iter().enumerate().map(curves).collect()
     }
 
     fn signal(&self, variable: &str, times: &[f64], values: &[f64]) -> Signal {

@@ -79,12 +79,17 @@ impl Calibration {
         fit: &Fit,
         context: &RunContext<'_>,
     ) -> Result<String, CalibrationError> {
-        Ok(page::page(self, fit, &self.curves(fit, context)?))
+        let curves = self.curves(fit, context)?;
+        let design = match self.problem().goals.is_empty() {
+            true => None,
+            false => Some((self.design_point(&fit.start, context).ok(), self.design_point(&fit.x, context)?)),
+        };
+        Ok(page::page(self, fit, &curves, design))
     }
 
     /// Returns the page with these curves, without running simulations.
     pub(crate) fn report_page_with(&self, fit: &Fit, curves: &[ExperimentCurves]) -> String {
-        page::page(self, fit, curves)
+        page::page(self, fit, curves, None)
     }
 }
 

@@ -8,6 +8,7 @@ use super::summary::{Fact, Summary, fact};
 use super::template;
 use crate::fit::one_stage::Fit;
 use crate::loaded::calibration::Calibration;
+use crate::loaded::design_point::{CriterionValue, DesignPoint, LimitedValue};
 use crate::problem::experiment::Experiment;
 use base::Number;
 use serde::Serialize;
@@ -28,6 +29,9 @@ struct Page {
     settings: Vec<Fact>,
     experiments: Vec<Setup>,
     origin: Vec<Fact>,
+    /// Goals, criteria and constraints of a design: text, scenario, value at the start, value.
+    criteria: Vec<[String; 4]>,
+    is_design: bool,
     date: String,
 }
 
@@ -61,7 +65,13 @@ struct Setup {
 }
 
 /// Returns the page of a fit.
-pub(super) fn page(calibration: &Calibration, fit: &Fit, curves: &[ExperimentCurves]) -> String {
+/// `design` contains the start, if it could be simulated, and the result of a design.
+pub(super) fn page(
+    calibration: &Calibration,
+    fit: &Fit,
+    curves: &[ExperimentCurves],
+    design: Option<(Option<DesignPoint>, DesignPoint)>,
+) -> String {
     let page = Page {
         outputs: figures(curves),
         search: [convergence(fit), waterfall(fit)].into_iter().flatten().collect(),
@@ -70,9 +80,31 @@ pub(super) fn page(calibration: &Calibration, fit: &Fit, curves: &[ExperimentCur
         settings: settings(calibration, fit),
         experiments: experiments(calibration),
         origin: origin(calibration),
+        criteria: design.iter().flat_map(|(start, result)| criteria(start.as_ref(), result)).collect(),
+        is_design: !calibration.problem().goals.is_empty(),
         date: jiff::Timestamp::now().strftime("%Y-%m-%d %H:%M UTC").to_string(),
     };
     template::page(&Summary::new(fit), &page)
+}
+
+/// Returns the criteria and constraints of a design.
+fn criteria(start: Option<&DesignPoint>, result: &DesignPoint) -> Vec<[String; 4]> {
+    let number = |value: Option<f64>| value.map_or_else(|| "failed".to_owned(), |value| rounded(value, 6));
+    let criterion = |(k, criterion): (usize, &CriterionValue)| {
+        let before = start.and_then(|start| start.criteria.get(k)).map(|c| c.value);
+        [criterion.text.clone(), criterion.scenario.clone(), number(before), number(Some(criterion.value))]
+    };
+    let constraint = |(k, limited): (usize, &LimitedValue)| {
+        let holds = |limited: &LimitedValue| match limited.violation() {
+            0.0 => "holds".to_owned(),
+            violation => format!("violated by {}", rounded(violation, 3)),
+        };
+        let before =
+            start.and_then(|start| start.constraints.get(k)).map_or_else(|| "failed".to_owned(), holds);
+        [limited.text.clone(), String::new(), before, holds(limited)]
+    };
+    let criteria = result.criteria.iter().enumerate().map(criterion);
+    criteria.chain(result.constraints.iter().enumerate().map(constraint)).collect()
 }
 
 /// Returns the figures of the outputs of each experiment, and of its inputs.
@@ -127,7 +159,8 @@ pub(super) fn output_figures(experiments: &[ExperimentCurves], without_start: &s
             Some(Series::Bars(rows.flat_map(|((t, y), sigma)| [(*t, y - sigma), (*t, y + sigma)]).collect()))
         };
         let mut upper: Vec<Series> = bars(&measured.values).into_iter().collect();
-        upper.push(Series::Measured(curve(measured)));
+        let is_measured = !measured.times.is_empty();
+        upper.extend(is_measured.then(|| Series::Measured(curve(measured))));
         upper.extend(start.as_ref().map(|signal| Series::Start(curve(signal))));
         upper.extend(fitted.as_ref().map(|signal| Series::Fitted(curve(signal))));
         let mut lower: Vec<Series> = bars(residuals).into_iter().collect();
@@ -139,17 +172,18 @@ pub(super) fn output_figures(experiments: &[ExperimentCurves], without_start: &s
             is_logarithm: false,
             has_zero,
         };
-        let panels = [
-            panel(TALL, format!("{}{unit}", measured.variable), upper, false),
-            panel(LOW, format!("residual{unit}"), lower, true),
-        ];
+        let mut panels = vec![panel(TALL, format!("{}{unit}", measured.variable), upper, false)];
+        if is_measured {
+            panels.push(panel(LOW, format!("residual{unit}"), lower, true));
+        }
         let title = match experiments.len() {
             1 => measured.variable.clone(),
             _ => format!("{}: {}", experiment.name, measured.variable),
         };
         let remark = if start.is_none() { without_start } else { "" };
         let of_bars = if sigma.is_some() { "Bars: one known standard deviation (sigma). " } else { "" };
-        let caption = format!("{remark}{of_bars}{}", figure::note(measured.times.len()));
+        let note = if is_measured { figure::note(measured.times.len()) } else { String::new() };
+        let caption = format!("{remark}{of_bars}{note}");
         Figure { title, caption, svg: figure::draw(&panels, &time_axis(experiment)) }
     };
     experiments.iter().flat_map(|e| e.outputs.iter().map(move |output| figure(e, output))).collect()

@@ -99,7 +99,7 @@ impl Summary {
         let uncertainty = fit.uncertainty.as_ref();
         let first = fit.outputs.first().map(|output| &output.experiment);
         Self {
-            title: format!("Fit of {}", fit.model),
+            title: format!("{} of {}", if is_design(fit) { "Design" } else { "Fit" }, fit.model),
             is_success: fit.is_success(),
             sentence: sentence(fit),
             findings: merged(&fit.findings_with(fit.shown_names())),
@@ -115,6 +115,11 @@ impl Summary {
             facts: facts(fit),
         }
     }
+}
+
+/// True if the search optimised the goals of a design.
+fn is_design(fit: &Fit) -> bool {
+    fit.objective == CostKind::Goals.name()
 }
 
 /// Returns the sentence on the termination and the quality of the fit.
@@ -165,6 +170,16 @@ fn sentence(fit: &Fit) -> String {
         (false, true) => ", but its result should not be used",
         (false, false) => ", and its result should not be used",
     };
+    if is_design(fit) {
+        let before = fit
+            .start_cost
+            .map_or_else(String::new, |cost| format!(" (at the start {})", rounded(cost, DIGITS)));
+        let ended = ended.replacen("The fit", "The search", 1);
+        return format!(
+            "{ended}{doubt}: minimised objective {}{before}.{resumed}{counts}",
+            rounded(fit.cost, DIGITS)
+        );
+    }
     format!(
         "{ended}{doubt}: RMS {rms} ({before}) over {} measurements.{errors}{resumed}{counts}",
         fit.n_measurements
@@ -344,8 +359,9 @@ fn facts(fit: &Fit) -> Vec<Fact> {
     let mut facts = vec![("ended", format!("{}: {}", report.method, report.message))];
     facts.extend(report.method_reason.iter().map(|reason| ("chosen", reason.clone())));
     facts.extend(fit.stages.iter().map(|stage| ("stage", stage.report.message.clone())));
-    facts.push(("cost", format!("{}{before}, RMS {}", rounded(fit.cost, DIGITS), rounded(fit.rms, DIGITS))));
-    if fit.objective != CostKind::SumOfSquares.name() {
+    let rms = if is_design(fit) { String::new() } else { format!(", RMS {}", rounded(fit.rms, DIGITS)) };
+    facts.push(("cost", format!("{}{before}{rms}", rounded(fit.cost, DIGITS))));
+    if !is_design(fit) && fit.objective != CostKind::SumOfSquares.name() {
         facts.push(("objective", fit.objective.clone()));
     }
     if !report.loss.is_linear() {
@@ -359,7 +375,9 @@ fn facts(fit: &Fit) -> Vec<Fact> {
     }));
     let lack_of_fit = fit.uncertainty.as_ref().and_then(|uncertainty| uncertainty.lack_of_fit);
     facts.extend(lack_of_fit.map(|test| ("replicates", test.to_string())));
-    facts.push(("standard errors", errors(fit)));
+    if !is_design(fit) {
+        facts.push(("standard errors", errors(fit)));
+    }
     let counts =
         [(report.n_failed, "failed"), (report.n_lost, "lost"), (report.n_speculative, "speculative")];
     let counts: String =

@@ -1,6 +1,6 @@
 //! Sensitivity analysis of a calibration.
 
-use super::quantities::{Quantities, ValuesOf};
+use super::quantities::{PointResults, Quantities, ValuesOf};
 use crate::cost::split::Slots;
 use crate::error::CalibrationError;
 use crate::loaded::calibration::Calibration;
@@ -58,8 +58,12 @@ impl Objective for Evaluated<'_> {
     fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
         let (slots, mut stats) = (Some(&self.slots), Stats::default());
         self.calibration.evaluate_counted(x, query, RobustLoss::default(), slots, answer, &mut stats);
+        let criteria = self.calibration.take_criteria(&mut answer.residuals);
         answer.residuals = match answer.outcome.value() {
-            Some(cost) => (self.values)(cost, &answer.residuals),
+            Some(cost) => {
+                let residuals = &answer.residuals;
+                (self.values)(&PointResults { x, cost, residuals, criteria: &criteria })
+            }
             None => Vec::new(),
         };
     }
@@ -75,9 +79,9 @@ impl Objective for Evaluated<'_> {
 
 impl Calibration {
     /// Estimates the effect of each free parameter on the cost and on the RMS error of each output, over the
-    /// whole box of the bounds: by Morris screening or Sobol' indices. Parameters vary independently and
-    /// uniformly on their scale; constraints between them are ignored. Points whose simulation fails are left
-    /// out and counted.
+    /// whole box of the bounds: by Morris screening or Sobol' indices. For a design, the effects are those on
+    /// the goals and the criteria of each scenario. Parameters vary independently and uniformly on their
+    /// scale; constraints between them are ignored. Points whose simulation fails are left out and counted.
     ///
     /// If the context or the time limit ends the analysis, the result contains the effects from the completed
     /// trajectories or rows; see [`Sensitivity::n_missing`].
@@ -106,7 +110,11 @@ impl Calibration {
         options: &SensitivityOptions,
         context: &RunContext<'_>,
     ) -> Result<Sensitivity, CalibrationError> {
-        self.sensitivity_of(Quantities::misfit(self), options, context)
+        let quantities = match self.problem().goals.is_empty() {
+            true => Quantities::misfit(self),
+            false => Quantities::design(self),
+        };
+        self.sensitivity_of(quantities, options, context)
     }
 
     /// Estimates the effect of each free parameter on these quantities.

@@ -6,6 +6,7 @@ use crate::error::CalibrationError;
 use crate::loaded::budget::Extra;
 use crate::loaded::calibration::Calibration;
 use crate::loaded::simulations_around::{Point, Simulations};
+use crate::problem::constraint::CriteriaNearby;
 use crate::problem::parameter::{Parameter, Scale, Target, inner};
 use crate::uncertainty::covariance::achievable_decrease::At;
 use crate::uncertainty::covariance::joint::JointMatrices;
@@ -24,6 +25,10 @@ use crate::uncertainty::scores::{Criterion, Working};
 use base::RunContext;
 use dfo::{ParameterKind, RobustLoss};
 use nalgebra::{DMatrix, DVector};
+
+/// Step of the differences of criteria relative to the size of a parameter. The error of a central difference
+/// is about the square of it, and that of simulations with the default tolerance 1e-6 divided by it.
+const CRITERIA_STEP: f64 = 1e-3;
 
 /// Data that are known at a point before its uncertainty is estimated.
 #[derive(Default)]
@@ -267,7 +272,8 @@ impl Calibration {
     ) -> Result<(Uncertainty, Vec<f64>), CalibrationError> {
         let (parameters, layout, before) = (self.parameters(), self.residual_layout(), simulations.n);
         let (mut held, mut free) = self.held_and_free(x, evaluated_point);
-        let constrained = self.directions(x, &mut held, &mut free);
+        let criteria = self.criteria_nearby(x, &free, simulations)?;
+        let constrained = self.directions(x, &criteria, &mut held, &mut free);
         let at_center = self.residuals_at_center(x, evaluated_point, simulations)?;
         let (residuals, accurate) = (&at_center.residuals, &at_center.accurate);
         let sizes: Vec<f64> = free.iter().map(|&i| self.size_of(&parameters[i], x[i])).collect();
@@ -418,13 +424,59 @@ impl Calibration {
         (0..x.len()).partition(is_held)
     }
 
+    /// Returns the criteria of the simulations at a point and their derivatives, if a constraint contains
+    /// any. The derivatives are central differences, or one-sided ones at a bound, from two simulations per
+    /// free parameter.
+    fn criteria_nearby(
+        &self,
+        x: &[f64],
+        free: &[usize],
+        simulations: &mut Simulations<'_>,
+    ) -> Result<CriteriaNearby, CalibrationError> {
+        if self.constraints().first_of_simulation().is_none() {
+            return Ok(CriteriaNearby::default());
+        }
+        let parameters = self.parameters();
+        let moved = |i: usize, sign: f64| {
+            let mut moved = x.to_vec();
+            let step = CRITERIA_STEP * self.size_of(&parameters[i], x[i]) * slope(&parameters[i], x[i]);
+            moved[i] = (x[i] + sign * step).clamp(parameters[i].lower(), parameters[i].upper());
+            moved
+        };
+        let points = std::iter::once(x.to_vec())
+            .chain(free.iter().flat_map(|i| [moved(*i, -1.0), moved(*i, 1.0)]))
+            .map(|x| Point { x, is_accurate: false });
+        let points: Vec<Point> = points.collect();
+        let found = simulations.values(&points)?;
+        let n = self.n_residuals();
+        let criteria = |k: usize| found[k].as_ref().ok().map(|values| &values[n..]);
+        let Some(values) = criteria(0) else { return Ok(CriteriaNearby::default()) };
+        let mut slopes = vec![vec![0.0; values.len()]; x.len()];
+        for (k, &i) in free.iter().enumerate() {
+            let width = points[2 * k + 2].x[i] - points[2 * k + 1].x[i];
+            slopes[i] = match (criteria(2 * k + 1), criteria(2 * k + 2)) {
+                (Some(below), Some(above)) => {
+                    below.iter().zip(above).map(|(below, above)| (above - below) / width).collect()
+                }
+                _ => vec![f64::NAN; values.len()],
+            };
+        }
+        Ok(CriteriaNearby { values: values.to_vec(), slopes })
+    }
+
     /// Returns the directions that the active constraints leave at a point. Free parameters that the
     /// constraints fix become held.
-    fn directions(&self, x: &[f64], held: &mut Vec<usize>, free: &mut Vec<usize>) -> ConstrainedDirections {
+    fn directions(
+        &self,
+        x: &[f64],
+        criteria: &CriteriaNearby,
+        held: &mut Vec<usize>,
+        free: &mut Vec<usize>,
+    ) -> ConstrainedDirections {
         let parameters = self.parameters();
         let sizes: Vec<f64> = parameters.iter().zip(x).map(|(p, x)| self.size_of(p, *x)).collect();
         let in_units: Vec<f64> = (0..x.len()).map(|i| sizes[i] * slope(&parameters[i], x[i])).collect();
-        let nearby = self.constraints().around(x, &in_units);
+        let nearby = self.constraints().around(x, &in_units, criteria);
         let mut found = ConstrainedDirections::default();
         let over = |free: &[usize], gradient: &[f64]| {
             DVector::from_iterator(

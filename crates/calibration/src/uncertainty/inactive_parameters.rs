@@ -123,15 +123,17 @@ impl Calibration {
         }
         let (mut at_bound, mut without_effect) = (Vec::new(), Vec::new());
         let mut n_checks = 0;
-        let mut residuals = vec![0.0; self.n_residuals()];
+        let mut values = Vec::new();
         let mut is_allowed = || budget.allows(Extra::StuckParameter, 1.0);
         let mut cost_with = |index: usize, value: f64| {
             n_checks += 1;
             let mut x = report.x.clone();
             x[index] = value;
             let rule = CostRule::whole(report.loss, context);
-            let sum = self.evaluate_into(&x, rule, &mut residuals, stats)?;
-            let outcome = kind.outcome(self.residual_layout(), sum, &residuals, &mut Vec::new());
+            values.resize(self.n_values(), 0.0);
+            let sum = self.evaluate_into(&x, rule, &mut values, stats)?;
+            let criteria = self.take_criteria(&mut values);
+            let outcome = self.outcome_of(kind, &x, sum, (&values, &criteria), &mut Vec::new());
             outcome
                 .value()
                 .ok_or_else(|| CostFailure::failed(FailureKind::Error, "the cost is not a number".to_owned()))

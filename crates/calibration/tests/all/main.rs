@@ -10,6 +10,7 @@ mod co_simulation;
 mod constrained_fits;
 mod coverage;
 mod derived;
+mod design;
 mod error_model;
 mod expression;
 mod initial_states;

@@ -100,7 +100,10 @@ impl<M: MethodOptions> Description<M> {
         let x0 = match (x0, &bounds) {
             (Some(x0), _) => x0,
             (None, Some(bounds)) if !method.needs_start() => {
-                middle(bounds, &transforms, &kinds).ok_or(Error::NoStart)?
+                let Some(middle) = middle(bounds, &transforms, &kinds) else {
+                    return Err(open_box(method, bounds));
+                };
+                middle
             }
             (None, _) => return Err(Error::NoStart),
         };
@@ -188,6 +191,18 @@ impl<M: MethodOptions> Description<M> {
         }
         started.writer = Some(Writer::new(place, fingerprint, by_hand)?);
         Ok(started)
+    }
+}
+
+/// Returns the error of a box without a middle: that of the method if it requires a finite box, otherwise
+/// that of the missing start.
+fn open_box<M: MethodOptions>(method: &M, bounds: &Bounds) -> Error {
+    let inside =
+        bounds.lower().iter().zip(bounds.upper()).map(|(lower, upper)| 0.0_f64.max(*lower).min(*upper));
+    let space = Space::new(&inside.collect::<Vec<f64>>(), bounds.clone(), &[], &[]);
+    match space.and_then(|space| method.begin(&Setup::new(space)).map(drop)) {
+        Err(error @ Error::NeedsBox { .. }) => error,
+        _ => Error::NoStart,
     }
 }
 

@@ -1,6 +1,8 @@
 //! External reasons to end a run: the observer, the cancellation flag and the wall-clock time limit.
 
-use ode::{EndConditions, EventRecord, Observer, Options, Sample, StepView, Stopped};
+use ode::{
+    CallResult, EndConditions, EventRecord, Observer, Options, Sample, StepOutputs, StepView, Stopped,
+};
 use std::cell::RefCell;
 use std::fmt;
 use std::ops::ControlFlow;
@@ -47,6 +49,12 @@ impl Observer for &SharedObserver<'_> {
     }
     fn step(&mut self, step: &StepView<'_>) {
         self.observer.borrow_mut().step(step);
+    }
+    fn needs_outputs(&self) -> bool {
+        self.observer.borrow().needs_outputs()
+    }
+    fn outputs(&mut self, step: &mut StepOutputs<'_>) -> CallResult<()> {
+        self.observer.borrow_mut().outputs(step)
     }
     fn event(&mut self, event: &EventRecord) {
         self.observer.borrow_mut().event(event);

@@ -28,6 +28,9 @@ pub(crate) enum Begin {
 
 pub(crate) fn run(arguments: &arguments::Fit, begin: Begin, console: &Console) -> Result<Exit, Error> {
     let mut file = problem::of_arguments(&arguments.problem, console)?;
+    if file.is_design() {
+        return Err(Error::input("the problem has an objective and no recordings. Use fmufit optimize"));
+    }
     file.set("fit", short_form::options(&arguments.option)?);
     let written = [&arguments.checkpoint, &arguments.save, &arguments.report];
     check_written(written.into_iter().flatten(), &file.files())?;
@@ -140,7 +143,7 @@ fn reasons_against(fit: &Fit) -> Vec<String> {
 }
 
 /// Serves a page that will show the fit, and prints its address.
-fn watch(calibration: &Calibration, console: &Console) -> Result<LivePage, Error> {
+pub(super) fn watch(calibration: &Calibration, console: &Console) -> Result<LivePage, Error> {
     let watch = LivePage::start(calibration)
         .map_err(|error| Error::work(format!("--watch: cannot serve the page: {error}")))?;
     // Printed even with `--quiet`, because the page is useless without its address.
@@ -150,7 +153,7 @@ fn watch(calibration: &Calibration, console: &Console) -> Result<LivePage, Error
 
 /// Shows the report of a fit on its page until the reader closes it or presses Ctrl-C. Without a terminal,
 /// Ctrl-C is not possible, so the page ends with the program.
-fn show_report(
+pub(super) fn show_report(
     watch: &LivePage,
     fit: &Fit,
     calibration: &Calibration,

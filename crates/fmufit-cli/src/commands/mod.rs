@@ -7,6 +7,7 @@ mod fit;
 mod info;
 mod init;
 mod jobs;
+mod optimize;
 mod report;
 mod schema;
 mod simulate;
@@ -26,6 +27,7 @@ pub(crate) fn run(command: Command, console: &Console) -> Result<Exit, Error> {
         Command::Init(arguments) => init::run(&arguments, console),
         Command::Check(arguments) => check::run(&arguments, console),
         Command::Fit(arguments) => fit::run(&arguments, fit::Begin::Auto, console),
+        Command::Optimize(arguments) => optimize::run(&arguments, console),
         Command::Resume(arguments) => fit::run(&arguments, fit::Begin::Resume, console),
         Command::Jobs(arguments) => jobs::run(&arguments, console),
         Command::Report(arguments) => report::run(&arguments, console),

@@ -6,8 +6,8 @@ use super::error_location::{Lines, field, item, named_in};
 use crate::error::Error;
 use crate::output_paths::is_stream;
 use calibration::{
-    Calibration, CalibrationError, Experiment, ExperimentRecord, FitOptions, Parameter, Relation, RunContext,
-    SimulationSettings, Stage, fit_schema, stages_schema,
+    Calibration, CalibrationError, Combination, Experiment, ExperimentRecord, FitOptions, Goal, Parameter,
+    Relation, RunContext, SimulationSettings, Stage, fit_schema, stages_schema,
 };
 use dfo::{Record, RecordError, Value, field_names};
 use fmi::Fmu;
@@ -28,6 +28,24 @@ pub(crate) struct ProblemRecord {
     /// Recordings, and how the model should reproduce them.
     #[schemars(with = "Vec<ExperimentRecord>", length(min = 1))]
     experiments: Value,
+    /// Scenarios of a design: inputs, start values and the span of a simulation each. They replace
+    /// `experiments`.
+    #[schemars(with = "Vec<ExperimentRecord>")]
+    #[serde(default)]
+    scenarios: Value,
+    /// Objective of a design: a formula over criteria of the simulation, such as `ise(y, 1) + 0.1*max(u)`. It
+    /// is minimised unless it begins with `maximize`.
+    #[schemars(with = "Option<Goal>")]
+    #[serde(default)]
+    objective: Value,
+    /// Several objectives of a design, for a Pareto front.
+    #[schemars(with = "Vec<Goal>")]
+    #[serde(default)]
+    objectives: Value,
+    /// Combination of the objective over several scenarios.
+    #[schemars(with = "Option<Combination>")]
+    #[serde(default)]
+    combine: Value,
     /// Parameters to fit.
     #[schemars(schema_with = "parameters_schema")]
     parameters: Value,
@@ -249,6 +267,29 @@ impl ProblemFile {
         }
     }
 
+    /// True if the problem has an objective.
+    pub(crate) fn is_design(&self) -> bool {
+        self.value("objective").is_some() || self.value("objectives").is_some()
+    }
+
+    /// Returns the objectives of a design, with their paths.
+    fn goals(&self) -> Result<Vec<(String, Value)>, Error> {
+        match (self.value("objective"), self.value("objectives")) {
+            (Some(_), Some(_)) => {
+                Err(self.error("objectives", "specify either objective or objectives, not both"))
+            }
+            (Some(goal), None) => Ok(vec![("objective".to_owned(), goal.clone())]),
+            (None, Some(Value::List(items))) => {
+                Ok(items.iter().enumerate().map(|(k, goal)| (item("objectives", k), goal.clone())).collect())
+            }
+            (None, Some(_)) => Err(self.error(
+                "objectives",
+                "objectives: expected a list, objectives = [\"ise(y, 1)\", \"energy(u)\"]",
+            )),
+            (None, None) => Ok(Vec::new()),
+        }
+    }
+
     /// Rejects names in a table that the library does not support.
     fn check_names(
         &self,
@@ -267,7 +308,8 @@ impl ProblemFile {
 
     /// Returns the files that the problem is read from: itself, the model and the recordings.
     pub(crate) fn files(&self) -> Vec<PathBuf> {
-        let experiments = self.tables("experiments").unwrap_or_default();
+        let mut experiments = self.tables("experiments").unwrap_or_default();
+        experiments.extend(self.tables("scenarios").unwrap_or_default());
         let of_experiment =
             |fields: &'_ Record| ["data", "start_values"].map(|name| fields.get(name).cloned());
         let data: Vec<Value> =
@@ -306,7 +348,32 @@ impl ProblemFile {
             let relation = constraint.read::<Relation>("constraint");
             builder = builder.constraint(relation.map_err(|error| self.located(&path, error.into()))?);
         }
-        for (path, fields) in self.tables("experiments")? {
+        for (path, goal) in self.goals()? {
+            let goal = goal.read::<Goal>("objective").map_err(|error| self.located(&path, error.into()))?;
+            builder = builder.goal(goal);
+        }
+        if let Some(combine) = self.value("combine") {
+            let combination =
+                combine.read("combine").map_err(|error| self.located("combine", error.into()))?;
+            builder = builder.combination(combination);
+        }
+        let mut experiments = self.tables("experiments")?;
+        if self.is_design() {
+            if let Some((path, _)) = experiments.first() {
+                let message = "experiments belong to a fit, and objective to a design. Use [[scenarios]], or remove the objective";
+                return Err(self.error(path, message));
+            }
+            experiments = self.tables("scenarios")?;
+            if experiments.is_empty() {
+                builder = builder.experiment(Experiment::default());
+            }
+        } else if let Some((path, _)) = self.tables("scenarios")?.first() {
+            return Err(self.error(
+                path,
+                "scenarios belong to a design. Add objective = \"...\", or use [[experiments]]",
+            ));
+        }
+        for (path, fields) in experiments {
             let experiment = Experiment::from_record(&fields, &self.folder, context);
             builder = builder.experiment(experiment.map_err(|error| self.located(&path, error))?);
         }

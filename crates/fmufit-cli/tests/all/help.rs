@@ -2,13 +2,14 @@
 
 use crate::support::Folder;
 
-const COMMANDS: [&str; 12] = [
+const COMMANDS: [&str; 13] = [
     "info",
     "validate",
     "simulate",
     "init",
     "check",
     "fit",
+    "optimize",
     "resume",
     "jobs",
     "report",

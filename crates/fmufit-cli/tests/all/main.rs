@@ -9,5 +9,6 @@ mod interrupt;
 mod jobs;
 mod json_schema;
 mod models;
+mod optimize;
 mod schema;
 mod support;

@@ -1,7 +1,8 @@
 //! Runs backward in time, integrated with the time `s = -t`: conversion of observer reports and results.
 
 use crate::error::{ErrorKind, Report, SimulationError};
-use crate::observer::{EventRecord, Observer, Sample, StepView};
+use crate::observer::{EventRecord, Observer, Sample, StepOutputs, StepView};
+use crate::system::CallResult;
 use std::ops::ControlFlow;
 
 /// Reverses a time. Never returns a negative zero.
@@ -26,6 +27,14 @@ impl Observer for BackwardObserver<'_> {
     fn step(&mut self, step: &StepView<'_>) {
         let inside = |t: f64, x: &mut [f64]| step.states_at(turned(t), x);
         self.0.step(&StepView::new(turned(step.start), turned(step.end), &inside));
+    }
+    fn needs_outputs(&self) -> bool {
+        self.0.needs_outputs()
+    }
+    fn outputs(&mut self, step: &mut StepOutputs<'_>) -> CallResult<()> {
+        let (span, is_ordered) = ((turned(step.start), turned(step.end)), step.is_ordered);
+        let mut inside = |t: f64, outputs: &mut [f64]| step.outputs_at(turned(t), outputs);
+        self.0.outputs(&mut StepOutputs::new(span, is_ordered, &mut inside))
     }
     fn event(&mut self, event: &EventRecord) {
         self.0.event(&EventRecord { time: turned(event.time), ..*event });

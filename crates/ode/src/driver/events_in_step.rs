@@ -34,7 +34,7 @@ impl Run<'_> {
             Err(error) => return self.discard_or_fail(h, error),
         };
         let sampled = self.space.sampler.due_before(self.times, end - self.time_tolerance).is_some();
-        if (bracket.is_some() || sampled || self.observer.needs_steps())
+        if (bracket.is_some() || sampled || self.observer.needs_steps() || self.observer.needs_outputs())
             && let Err(error) = self.make_ready(end, h, &mut ready)
         {
             return self.discard_or_fail(h, error);

@@ -316,7 +316,7 @@ impl Run<'_> {
         let inside = at != end;
         let crossed = self.space.domains.mark(at - self.t, LOCATED * self.time_tolerance);
         let mut cause = EventCause { state: crossed.is_some(), ..EventCause::default() };
-        if !self.sample_before(at, end, h)? {
+        if !(self.show_outputs(at, end, h)? && self.sample_before(at, end, h)?) {
             let h = self.stepper.refused(h);
             return self.shrink(h, Shrink::Refused);
         }

@@ -3,7 +3,7 @@
 use super::returns_after_event::{later, move_along};
 use super::run::{Run, Space, Step, finish, no_retreat, read_indicators};
 use crate::error::Termination;
-use crate::observer::{Observer, StepView};
+use crate::observer::{Observer, StepOutputs, StepView};
 use crate::sampling::Here;
 use crate::stepper::Trial;
 use crate::system::{CallError, CallResult};
@@ -25,6 +25,26 @@ impl Run<'_> {
             }
         }
         Ok(true)
+    }
+
+    /// Passes the step of size `h` that ends at `end`, up to `at`, to an observer that requests outputs.
+    /// Returns `false` if the model refused one of its points.
+    pub(super) fn show_outputs(&mut self, at: f64, end: f64, h: f64) -> Step<bool> {
+        if !self.observer.needs_outputs() {
+            return Ok(true);
+        }
+        let (stepper, system, began) = (&*self.stepper, &mut *self.system, self.t);
+        let Space { x, x_mid, .. } = &mut *self.space;
+        let trial = Trial { t: began, end, h, x };
+        let is_ordered = system.outputs_in_order();
+        let mut evaluate = |t: f64, outputs: &mut [f64]| {
+            stepper.interpolate(trial, ((t - began) / h).clamp(0.0, 1.0), x_mid);
+            system.outputs(t, x_mid, outputs)
+        };
+        match self.observer.outputs(&mut StepOutputs::new((began, at), is_ordered, &mut evaluate)) {
+            Err(CallError::Discard) => Ok(false),
+            shown => shown.map(|()| true).map_err(no_retreat),
+        }
     }
 
     /// Delivers the left limit at the current time if the time is listed twice or events are recorded.

@@ -129,6 +129,9 @@ impl HybridSystem for TimedSystem<'_> {
     fn n_outputs(&self) -> usize {
         self.system.n_outputs()
     }
+    fn outputs_in_order(&self) -> bool {
+        self.system.outputs_in_order()
+    }
     fn is_unbounded(&self, state: usize) -> bool {
         self.system.is_unbounded(state)
     }

@@ -5,7 +5,7 @@ combines a model, measurements and `Parameter` objects, and fits without the int
 any Python function, `least_squares` minimises the sum of squares of residuals, and `pareto` minimises several criteria
 at once. `Optimizer` lets you control the run: ask for points and report their costs. `scipy_method` provides the
 methods for ``scipy.optimize.minimize``. `sensitivity` estimates the effect of each parameter of a function over its
-whole range. `fmin` has the signature of the paper's tool; `pydfo.dfo` provides it together
+whole range. `Design` chooses parameters so that criteria of simulations are best. `fmin` has the signature of the paper's tool; `pydfo.dfo` provides it together
 with `quad_err` for scripts written for that tool. `pydfo.ode` integrates systems written in Python, `pydfo.fmi`
 controls an instance of an FMU call by call, and `pydfo.compat` provides the names of FMPy and PyFMI.
 """
@@ -34,6 +34,9 @@ if TYPE_CHECKING:
     from ._calibration.stages import Stage
     from ._calibration.uncertainty import ParameterCheck, Preflight, ResidualCheck, Uncertainty
     from ._calibration.validation import CrossValidation, Fold, PredictionBand, ValidatedOutput, Validation
+    from ._design.design import Design
+    from ._design.result import DesignPoint, DesignResult, LimitedValue
+    from ._design.scenario import Scenario
     from ._errors import (
         AllStartsFailed,
         BadCalibrationError,
@@ -72,6 +75,9 @@ _set_interpreter()
 _HOMES = {
     "_calibration.calibration": "Calibration",
     "_calibration.check": "Check Finding",
+    "_design.design": "Design",
+    "_design.result": "DesignPoint DesignResult LimitedValue",
+    "_design.scenario": "Scenario",
     "_model.description": "Description Variable read_description",
     "_errors": "AllStartsFailed BadCalibrationError BadModelValueError CalibrationError CalibrationWarning CheckpointError FmuError Interrupted ModelTypeError NoResult PydfoError SimulationError SimulationWarning UnknownVariableError",
     "_calibration.experiment": "Experiment Hold",
@@ -121,6 +127,9 @@ __all__ = [
     "Comparison",
     "CrossValidation",
     "Description",
+    "Design",
+    "DesignPoint",
+    "DesignResult",
     "Experiment",
     "FMUModel",
     "Finding",
@@ -133,6 +142,7 @@ __all__ = [
     "Interrupted",
     "LeastSquaresResult",
     "Limits",
+    "LimitedValue",
     "LinearConstraint",
     "ModelTypeError",
     "NoResult",
@@ -154,6 +164,7 @@ __all__ = [
     "PydfoError",
     "ResidualCheck",
     "Resubmit",
+    "Scenario",
     "Sensitivity",
     "Simulation",
     "SimulationError",

@@ -22,10 +22,10 @@ use crate::model::trajectory;
 use crate::optimize::futures::{PySimulationExecutor, state};
 use calibration::RunContext;
 use calibration::{
-    CalibrationError, Experiment, FitOptions, LivePage, PreflightOptions, Problem, Severity,
+    CalibrationError, Design, Experiment, FitOptions, LivePage, PreflightOptions, Problem, Severity,
     SimulationExecutor, UncertaintyOptions,
 };
-use dfo::{EvaluationKind, Progress, Query, RobustLoss, Termination};
+use dfo::{EvaluationKind, Progress, Query, RobustLoss, Termination, Value};
 use numpy::PyArray1;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -93,7 +93,10 @@ impl PyCalibration {
         settings: PyRecord,
         parameters: Vec<PyParameter>,
         constraints: Vec<String>,
+        design: (Vec<String>, String),
     ) -> PyResult<Self> {
+        // Objectives of a design, and their combination over the scenarios.
+        let (goals, combine) = design;
         let settings = settings.settings(py)?;
         let fmu = match model {
             Source::Open(fmu) => fmu.get().fmu.clone(),
@@ -107,6 +110,14 @@ impl PyCalibration {
             })
         };
         let constraints = constraints.into_iter().map(constraint).collect::<PyResult<Vec<_>>>()?;
+        let goal = |text: String| {
+            text.parse::<calibration::Goal>().map_err(|e| {
+                error::calibration(py, &CalibrationError::Setup(format!("objective '{text}': {e}")))
+            })
+        };
+        let goals = goals.into_iter().map(goal).collect::<PyResult<Vec<_>>>()?;
+        let combination =
+            calibration::Combination::named(&combine).map_err(|e| error::calibration(py, &e))?;
         // The name of the experiment, if there are several.
         let is_one = experiments.len() == 1;
         let mut callbacks = Callbacks::default();
@@ -128,7 +139,9 @@ impl PyCalibration {
         let built = files::watched(py, move |cancel| {
             let ask = || cancel.is_requested();
             let context = RunContext::new().polling(&ask);
-            let mut builder = calibration::Calibration::builder(fmu).settings(settings);
+            let mut builder =
+                calibration::Calibration::builder(fmu).settings(settings).combination(combination);
+            builder = goals.into_iter().fold(builder, calibration::CalibrationBuilder::goal);
             for (name, resolved, experiment) in experiments {
                 let made = experiment.experiment(resolved, &context).map_err(|e| match name {
                     Some(name) => CalibrationError::Experiment { name, source: Box::new(e) },
@@ -198,6 +211,23 @@ impl PyCalibration {
         let callbacks = give_functions(&mut problem, functions);
         let built = py.detach(move || calibration::Calibration::from_problem(fmu, problem));
         Ok(Self { shared: Shared::finish(py, built, callbacks)? })
+    }
+
+    /// Returns the start and the end of the simulation of an experiment.
+    fn span(&self, experiment: usize) -> (f64, f64) {
+        self.inner().span(experiment)
+    }
+
+    /// Returns the objectives of a design as written.
+    fn goals(&self) -> Vec<&str> {
+        self.inner().problem().goals.iter().map(calibration::Goal::text).collect()
+    }
+
+    /// Simulates all scenarios of a design at `x`. Returns the objectives, criteria and constraints.
+    fn design_point<'py>(&self, py: Python<'py>, x: Vec<f64>) -> PyResult<Bound<'py, PyDict>> {
+        let design = Design::of(Arc::clone(&self.shared.inner)).map_err(|e| error::calibration(py, &e))?;
+        let point = self.shared.compute(py, move |_, context| design.evaluate(&x, context))?;
+        object::fields(py, &point)
     }
 
     /// Names of the entries of `x`.
@@ -393,7 +423,19 @@ impl PyCalibration {
     ) -> PyResult<Bound<'py, PyAny>> {
         let FitFields { start, observer, stages, objective, engine, page } = objects;
         let n_parameters = self.inner().parameters().len();
-        let options = FitOptions::from_record(requested.values.clone(), n_parameters);
+        let mut values = requested.values.clone();
+        let is_front = values.get("method").is_some_and(|method| *method == Value::Text(FRONT.to_owned()))
+            && !self.inner().problem().goals.is_empty();
+        let options = match is_front {
+            true => {
+                let design = Design::of(Arc::clone(&self.shared.inner));
+                let checked = design.and_then(|design| design.check_several());
+                checked.map_err(|e| error::calibration(py, &e))?;
+                values.remove("method");
+                FitOptions::of_front(values, n_parameters)
+            }
+            false => FitOptions::from_record(values, n_parameters),
+        };
         let FitOptions { run, loss, noise, preflight, uncertainty, .. } =
             options.map_err(|e| requested.error(py, &e))?;
         let stage = |requested: PyRecord| {
@@ -506,6 +548,9 @@ impl PyCalibration {
         error::ended(py, &stop, raised, result)
     }
 }
+
+/// Method of a search for a Pareto front.
+const FRONT: &str = "nsga2";
 
 /// Times; variables and their values.
 type Recording<'py> = (Bound<'py, PyArray1<f64>>, Vec<(String, Bound<'py, PyArray1<f64>>)>);

@@ -8,7 +8,7 @@ use crate::convert::values;
 use crate::model::inputs::{Callback, Callbacks};
 use calibration::RunContext;
 use calibration::{
-    CalibrationError, CsvRequest, Data, Experiment, InitialState, OutputScale, Parameter, ParameterSet,
+    CalibrationError, CsvRequest, Data, Experiment, Goal, InitialState, OutputScale, Parameter, ParameterSet,
     Series, Sigma, Weight,
 };
 use fmi::SteadyStart;
@@ -53,6 +53,12 @@ pub(crate) fn is_sigma_text(text: &str) -> bool {
     Weight::is_sigma(text)
 }
 
+/// True if an objective of a design is maximised.
+#[pyfunction]
+pub(crate) fn is_maximised(objective: &str) -> bool {
+    objective.parse::<Goal>().is_ok_and(|goal| goal.is_maximum())
+}
+
 /// `pydfo.Experiment`, field by field.
 #[derive(FromPyObject)]
 pub(crate) struct ExperimentFields {
@@ -75,6 +81,8 @@ pub(crate) struct ExperimentFields {
     windows: Vec<(f64, f64)>,
     warm_up: Option<f64>,
     start_time: Option<f64>,
+    final_time: Option<f64>,
+    weight: Option<f64>,
     /// Rows whose measurements count, or the column that marks them.
     mask: Option<Vec<bool>>,
     mask_column: Option<String>,
@@ -225,11 +233,13 @@ impl ExperimentFields {
         let data = match (&self.path, &self.table) {
             (Some(path), _) => {
                 let columns = self.columns();
-                let request =
-                    CsvRequest { time: self.time.as_deref(), columns: Some(&columns), context: *context };
+                // The criteria of a scenario may refer to any column.
+                let columns = (!self.outputs.is_empty()).then_some(&columns[..]);
+                let request = CsvRequest { time: self.time.as_deref(), columns, context: *context };
                 Data::read_csv(path, request)?
             }
             (None, Some(table)) => table.get().inner.clone(),
+            (None, None) if self.outputs.is_empty() => Data::default(),
             (None, None) => return Err(CalibrationError::Setup("the recording is missing".to_owned())),
         };
         let measured: Vec<&str> = self.outputs.iter().map(|(_, column, _)| column.as_str()).collect();
@@ -289,6 +299,12 @@ impl ExperimentFields {
         }
         if let Some(time) = self.start_time {
             experiment = experiment.start_time(time);
+        }
+        if let Some(time) = self.final_time {
+            experiment = experiment.final_time(time);
+        }
+        if let Some(weight) = self.weight {
+            experiment = experiment.scenario_weight(weight);
         }
         Ok(experiment)
     }

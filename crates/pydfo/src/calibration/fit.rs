@@ -25,7 +25,8 @@ pub(crate) struct PyFit {
 
 /// Returns a fit as `pydfo.OptimizeResult`, with the native fit attached.
 pub(crate) fn result<'py>(py: Python<'py>, calibration: &Shared, fit: Fit) -> PyResult<Bound<'py, PyAny>> {
-    let result = report::to_python(py, fit.report.clone(), ResultKind::Cost, &|| false)?;
+    let kind = if fit.report.front.is_some() { ResultKind::Front } else { ResultKind::Cost };
+    let result = report::to_python(py, fit.report.clone(), kind, &|| false)?;
     result.setattr("_native", PyFit { inner: Arc::new(fit), calibration: calibration.clone() })?;
     Ok(result)
 }

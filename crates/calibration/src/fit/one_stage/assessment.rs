@@ -327,8 +327,9 @@ impl Calibration {
         context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> Option<(f64, Vec<f64>)> {
-        let mut residuals = vec![0.0; self.n_residuals()];
+        let mut residuals = vec![0.0; self.n_values()];
         let sum = self.evaluate_into(x, CostRule::whole(loss, context), &mut residuals, stats).ok()?;
+        residuals.truncate(self.n_residuals());
         let outcome = kind.outcome(self.residual_layout(), sum, &residuals, &mut Vec::new());
         Some((outcome.value()?, residuals))
     }

@@ -88,7 +88,7 @@ impl Calibration {
             job.enter(FitPhase::FreshProcess, &stats);
             let fitted = made.fitted_calibration.take();
             let fitted = fitted.as_ref().unwrap_or(self);
-            let best = made.best(fitted.n_residuals(), job.objective.is_sum_of_squares());
+            let best = made.best(fitted.n_residuals(), fitted.n_values(), job.objective.is_sum_of_squares());
             let mut budget = made.budget();
             // Reserve this evaluation even if no comparison follows, and reserve an accurate simulation of
             // the result. Otherwise processes or the number of workers would decide about the other

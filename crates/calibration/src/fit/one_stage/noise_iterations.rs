@@ -42,11 +42,11 @@ impl FinalSearch {
     }
 
     /// Returns the result of the search, with its residuals if they are known.
-    pub(super) fn best(&self, n_residuals: usize, is_sum_of_squares: bool) -> BestPoint {
+    pub(super) fn best(&self, n_residuals: usize, n_values: usize, is_sum_of_squares: bool) -> BestPoint {
         let SearchResult { report, residuals, .. } = &self.searched;
         let residuals = residuals.at(&report.x).map(<[f64]>::to_vec);
         let cost = (is_sum_of_squares && residuals.is_none()).then_some(report.fun);
-        BestPoint { x: report.x.clone(), n_residuals, residuals, cost }
+        BestPoint { x: report.x.clone(), n_residuals, n_values, residuals, cost }
     }
 }
 

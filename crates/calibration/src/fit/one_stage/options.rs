@@ -8,8 +8,8 @@ use crate::problem::objective::CostKind;
 use crate::uncertainty::result::{Estimator, UncertaintyOptions};
 use base::RunContext;
 use dfo::{
-    AnyMethod, Loss, Progress, Record, RecordError, RequestedRun, RobustLoss, RunOptions, Search, StopRule,
-    ToleranceMeasure, Tolerances, Value, field_names, read_part,
+    AnyMethod, Loss, Nsga2, Progress, Record, RecordError, RequestedRun, RobustLoss, RunOptions, Search,
+    StopRule, ToleranceMeasure, Tolerances, Value, field_names, read_part,
 };
 use serde::{Deserialize, Deserializer, Serialize};
 use std::cell::RefCell;
@@ -110,11 +110,26 @@ impl FitOptions<'_> {
     /// # Errors
     /// Returns an error if an option does not exist or its value is invalid.
     pub fn from_record(record: Record, n: usize) -> Result<Self, dfo::Error> {
+        Self::from_record_or(record, n, Self::default_run())
+    }
+
+    /// Creates the options of a search for a Pareto front of `n` parameters from a record without a method,
+    /// see [`from_record`](Self::from_record). The record may contain the options of [`dfo::Nsga2`].
+    ///
+    /// # Errors
+    /// Returns an error if an option does not exist or its value is invalid.
+    pub fn of_front(record: Record, n: usize) -> Result<Self, dfo::Error> {
+        let run = RunOptions { method: Nsga2::default().into(), ..Self::default_run() };
+        Self::from_record_or(record, n, run)
+    }
+
+    fn from_record_or(record: Record, n: usize, run: RunOptions<AnyMethod>) -> Result<Self, dfo::Error> {
         let (of_fit, of_run) = read_part::<FitRecord>(record, "option of a fit")?;
         let mut options = Self {
             loss: RobustLoss::named(of_fit.loss, of_fit.f_scale)?.unwrap_or_default(),
             noise: of_fit.noise,
             preflight: of_fit.preflight,
+            run,
             ..Self::default()
         };
         if let Some(name) = of_fit.objective {
@@ -140,7 +155,8 @@ impl FitOptions<'_> {
     /// Returns an error if the options of the method cannot be serialised.
     pub fn record(&self) -> Result<Record, dfo::Error> {
         let of_fit = FitRecord {
-            objective: Some(self.objective.name().to_owned()),
+            // The goals are part of the problem.
+            objective: (!matches!(self.objective, CostKind::Goals)).then(|| self.objective.name().to_owned()),
             loss: Some(self.loss.kind()),
             f_scale: (!self.loss.is_linear()).then(|| self.loss.scale()),
             noise: self.noise,

@@ -76,10 +76,12 @@ impl Counted<'_> {
     /// Converts the residuals at a point to the quantity to minimise.
     fn finish(&self, x: &[f64], wanted: EvaluationKind, answer: &mut Answer) {
         let mut custom_residuals = Vec::new();
+        let criteria = self.calibration.take_criteria(&mut answer.residuals);
         if let Some(sum) = answer.outcome.value() {
             // No lock is held here because a user-defined function may be slow.
             let layout = self.calibration.residual_layout();
-            answer.outcome = self.kind.outcome(layout, sum, &answer.residuals, &mut custom_residuals);
+            let values = (&*answer.residuals, &*criteria);
+            answer.outcome = self.calibration.outcome_of(self.kind, x, sum, values, &mut custom_residuals);
             if let Some(cost) = answer.outcome.value() {
                 lock(&self.kept).note(x, cost, &answer.residuals);
             }
@@ -93,7 +95,7 @@ impl Counted<'_> {
         if wanted == EvaluationKind::Cost {
             answer.residuals.clear();
         }
-        self.calibration.constraints().nonlinear(x, &mut answer.constraints);
+        self.calibration.constraints().nonlinear(x, &criteria, &mut answer.constraints);
     }
 }
 
@@ -250,6 +252,10 @@ impl<'a> Job<'a> {
         options: FitOptions<'a>,
         within: Option<RunContext<'a>>,
     ) -> Result<Self, CalibrationError> {
+        let mut options = options;
+        if !calibration.problem().goals.is_empty() {
+            (options.objective, options.uncertainty) = (CostKind::Goals, None);
+        }
         let is_part = within.is_some();
         let context = within.unwrap_or_else(|| options.context.within(options.run.limits.max_time));
         let requested = options.record()?;
@@ -304,7 +310,10 @@ impl<'a> Job<'a> {
             start,
             is_whole: options.held.is_empty(),
             held: options.held,
-            cutoffs: options.cutoffs && options.objective.is_sum_of_squares(),
+            // The criteria of a simulation are known at its end.
+            cutoffs: options.cutoffs
+                && options.objective.is_sum_of_squares()
+                && calibration.evaluator().n_criteria() == 0,
             objective: options.objective,
             // The loss applies to outliers of measurements, not to priors.
             loss: options.loss.sparing(calibration.residual_layout().priors.len()),
@@ -484,7 +493,8 @@ impl Calibration {
             calibration: self,
             cutoffs: job.cutoffs,
             kind: objective,
-            has_residuals: self.has_residuals(objective, start),
+            // A search for a front receives the goals as residuals.
+            has_residuals: matches!(run.method, AnyMethod::Nsga2(_)) || self.has_residuals(objective, start),
             loss: *loss,
             start,
             at_start,

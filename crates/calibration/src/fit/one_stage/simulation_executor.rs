@@ -1,7 +1,7 @@
 //! Fits whose simulations run in an executor or on other machines.
 
 use crate::loaded::calibration::Calibration;
-use dfo::{Answer, Evaluator, Query, RobustLoss};
+use dfo::{Answer, EvaluationKind, Evaluator, Query, RobustLoss};
 use ode::Stats;
 
 /// Evaluator that simulates the points of a fit, for example on other machines. Each answer must equal the
@@ -16,8 +16,9 @@ pub trait SimulationExecutor: Evaluator {
 }
 
 impl Calibration {
-    /// Answers a query for a [`SimulationExecutor`], with the outcome and the residuals after this loss. Adds
-    /// the statistics of the simulations to `stats`. Omits the residuals if the query requests only the cost.
+    /// Answers a query for a [`SimulationExecutor`], with the outcome and the residuals after this loss,
+    /// followed by the criteria of trajectories. Adds the statistics of the simulations to `stats`. Omits the
+    /// residuals and the criteria if the query requests only the cost.
     pub fn answer_counted(
         &self,
         x: &[f64],
@@ -27,6 +28,9 @@ impl Calibration {
     ) -> Answer {
         let mut answer = Answer::default();
         self.evaluate_counted(x, query, loss, None, &mut answer, stats);
+        if query.kind == EvaluationKind::Cost {
+            answer.residuals.clear();
+        }
         answer
     }
 }

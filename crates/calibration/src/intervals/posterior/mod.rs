@@ -73,6 +73,11 @@ impl Calibration {
                 "points that satisfy the equality '{equality}' cannot be sampled. Replace it with a derived parameter (expr)"
             ));
         }
+        if let Some(constraint) = self.constraints().first_of_simulation() {
+            return setup(format!(
+                "points that satisfy '{constraint}' cannot be sampled, because it depends on the simulation. Use a profile"
+            ));
+        }
         let is_free = |i: &usize| {
             let p = &self.parameters()[*i];
             !p.is_fixed() && p.lower() != p.upper() && p.value_kind() == ParameterKind::Continuous

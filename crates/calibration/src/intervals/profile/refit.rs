@@ -7,8 +7,8 @@ use crate::problem::parameter::{Parameter, Scale};
 use crate::uncertainty::scores::Criterion;
 use base::RunContext;
 use dfo::{
-    Answer, AnyMethod, ByRef, LeastSquares, Limits, Objective, ParameterKind, QuadraticModel, Query,
-    RobustLoss, RunOptions, Termination, Tolerances,
+    Answer, AnyMethod, ByRef, EvaluationKind, LeastSquares, Limits, Objective, ParameterKind, QuadraticModel,
+    Query, RobustLoss, RunOptions, Termination, Tolerances,
 };
 use ode::Stats;
 use std::sync::Mutex;
@@ -54,13 +54,17 @@ impl Objective for Refits<'_> {
     fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
         let mut stats = Stats::default();
         self.calibration.evaluate_counted(x, query, self.residual_loss(), None, answer, &mut stats);
+        let criteria = self.calibration.take_criteria(&mut answer.residuals);
         if self.criterion == Criterion::Likelihood && answer.outcome.value().is_some() {
             let layout = self.calibration.residual_layout();
             answer.residuals = reweighted_by_likelihood(layout, &answer.residuals);
             answer.outcome = RobustLoss::default().cost(&mut answer.residuals, f64::INFINITY);
         }
         *self.stats.lock().unwrap_or_else(|e| e.into_inner()) += stats;
-        self.calibration.constraints().nonlinear(x, &mut answer.constraints);
+        self.calibration.constraints().nonlinear(x, &criteria, &mut answer.constraints);
+        if query.kind == EvaluationKind::Cost {
+            answer.residuals.clear();
+        }
     }
 
     fn has_residuals(&self) -> bool {

@@ -1,10 +1,10 @@
 //! NSGA-II: several criteria at once (Deb, Pratap, Agarwal and Meyarivan, IEEE Trans. Evol. Comput. 6, 2002).
 //!
 //! The criteria are the residuals of an evaluation. A point dominates another point if none of its criteria
-//! is larger and at least one is smaller. A generation selects pairs of parents by tournaments of two members,
-//! creates two children of each pair, and evaluates them as one batch. The best members of both generations
-//! survive: fronts of points that do not dominate each other rank in their order, and points of one front by
-//! their crowding distance. The extreme points of the first front therefore always survive.
+//! is larger and at least one is smaller. A generation selects pairs of parents by tournaments of two
+//! members, creates two children of each pair, and evaluates them as one batch. The best members of both
+//! generations survive: fronts of points that do not dominate each other rank in their order, and points of
+//! one front by their crowding distance. The extreme points of the first front therefore always survive.
 //!
 //! **Children** result from simulated binary crossover (Deb and Agrawal, Complex Syst. 9, 1995) and
 //! polynomial mutation (Deb and Goyal, Comput. Sci. Inform. 26, 1996), both with distributions that end at

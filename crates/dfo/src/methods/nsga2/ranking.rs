@@ -82,8 +82,8 @@ fn distances(rows: &[&[f64]], front: &[usize]) -> Vec<f64> {
     let mut distance = vec![0.0; front.len()];
     let n_criteria = front.first().map_or(0, |k| rows[*k].len());
     let mut sorted: Vec<usize> = (0..front.len()).collect();
-    for m in 0..n_criteria {
-        let value = |k: usize| rows[front[k]][m];
+    for values in (0..n_criteria).map(|m| front.iter().map(|k| rows[*k][m]).collect::<Vec<f64>>()) {
+        let value = |k: usize| values[k];
         sorted.sort_by(|a, b| value(*a).total_cmp(&value(*b)).then(a.cmp(b)));
         let [first, .., last] = sorted[..] else {
             distance.fill(f64::INFINITY);
@@ -132,7 +132,8 @@ mod tests {
         let ranking = rank(&costs, |k| rows[k]);
         assert_eq!((ranking.order, ranking.n_first), (vec![1, 6, 4, 3, 0, 7, 5, 2], 4));
         let infinite = f64::INFINITY;
-        let expected = [infinite, infinite, 0.0, 1.0 / 3.0 + 0.5, 2.5 / 3.0 + 2.0 / 3.0, 0.0, infinite, 0.0, 0.0];
+        let expected =
+            [infinite, infinite, 0.0, 1.0 / 3.0 + 0.5, 2.5 / 3.0 + 2.0 / 3.0, 0.0, infinite, 0.0, 0.0];
         assert!(ranking.crowding.iter().zip(expected).all(|(a, b)| *a == b || (a - b).abs() < 1e-15));
     }
 

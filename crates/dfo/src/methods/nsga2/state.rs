@@ -153,16 +153,18 @@ impl Nsga2State {
         self.members = values;
     }
 
-    /// Returns the winner of a tournament of two random members: the member that dominates the other, otherwise the
-    /// one with the larger crowding distance, otherwise the first. The program of the authors of the paper compares
-    /// in this way, and the paper by the front instead of by dominance. By the front, more populations lose the
-    /// spread of ZDT2 (`benches/dfo/pareto.py`).
+    /// Returns the winner of a tournament of two random members: the member that dominates the other,
+    /// otherwise the one with the larger crowding distance, otherwise the first. The program of the authors
+    /// of the paper compares in this way, and the paper by the front instead of by dominance. By the front,
+    /// more populations lose the spread of ZDT2 (`benches/dfo/pareto.py`).
     fn parent(population: &RankedPoints, members: &[Values], stream: &mut Stream) -> usize {
         let (first, second) = (stream.below(members.len()), stream.below(members.len()));
         let (a, b) = (&members[first], &members[second]);
         let is_second = match (population.cost(first), population.cost(second)) {
             (Cost::Value(_), Cost::Value(_)) if dominates(&a.criteria, &b.criteria) => false,
-            (Cost::Value(_), Cost::Value(_)) => dominates(&b.criteria, &a.criteria) || b.crowding > a.crowding,
+            (Cost::Value(_), Cost::Value(_)) => {
+                dominates(&b.criteria, &a.criteria) || b.crowding > a.crowding
+            }
             (first, second) => second.better_than(first),
         };
         if is_second { second } else { first }

@@ -24,6 +24,7 @@ from .._errors import CalibrationWarning
 from .._model.files import OpenOptions, size_limit
 from .._optimize import evaluate as _evaluate
 from .._optimize.fmin import Callback, check_callback
+from .._optimize.pareto_front import ParetoFront
 from .._optimize.result import OptimizeResult
 from .._optimize.sensitivity import Sensitivity, analysis, partial_results
 from . import check as _check
@@ -33,7 +34,7 @@ from . import uncertainty as _uncertainty
 from . import worker as _worker
 from .display import Display
 from .evaluation import Evaluation
-from .experiment import Inputs, Names, Sigmas, Weights, collected, path_of
+from .experiment import Experiment, Inputs, Names, Sigmas, Weights, collected, path_of
 from .fit import Fit
 from .parameter import Parameter
 from .settings import Limits, Process, Simulation, merged
@@ -222,6 +223,22 @@ class Calibration(Evaluation):
             "resample": resample,
         }
         experiments, parameters = collected(data, outputs, parameters, inputs, **of_experiment)
+        self._build(model, experiments, parameters, units, time_unit, constraints, simulated, run_in)
+
+    def _build(
+        self,
+        model: Any,
+        experiments: Sequence[Experiment],
+        parameters: Any,
+        units: Mapping[str, str] | None,
+        time_unit: str | None,
+        constraints: Sequence[str] | str | None,
+        simulated: Simulation,
+        run_in: Process,
+        goals: Sequence[str] = (),
+        combine: str = "sum",
+    ) -> None:
+        """Creates the native calibration. With `goals`, it is that of a design."""
         needed = "parameters must be a list of pydfo.Parameter(name, start, lower, upper)"
         if not isinstance(parameters, (Parameter, Iterable)):
             raise TypeError(f"{needed}, not {_text.show(parameters)}")
@@ -247,19 +264,20 @@ class Calibration(Evaluation):
             for variable, source in experiment.inputs
             if callable(source)
         ]
-        self._native = _core.Calibration(source, experiments, record, list(self._parameters), _values.names("constraints", relations))
+        relations = _values.names("constraints", relations)
+        self._native = _core.Calibration(source, list(experiments), record, list(self._parameters), relations, (list(goals), combine))
         for warning in self._native.warnings():
-            warnings.warn(warning, CalibrationWarning, stacklevel=3)
+            warnings.warn(warning, CalibrationWarning, stacklevel=4)
         if run_in.isolation == "process" and not _worker.has_interpreter:
             message = f"the FMU runs in this process, because no Python interpreter was found for worker processes (sys.executable is {sys.executable!r})"
-            warnings.warn(message, CalibrationWarning, stacklevel=2)
+            warnings.warn(message, CalibrationWarning, stacklevel=3)
         given = {name for parameter in self._parameters for name in (parameter.name, *(parameter.variables or ()))}
         given.update(name for experiment in experiments for name, _ in experiment.start_values + experiment.initial_states)
         if forgotten := [name for name in getattr(model, "_names_set", list)() if name not in given]:
             warnings.warn(
                 f"values set in an FMUModel are ignored in a calibration: {_text.listed(forgotten)}. To use them, pass them as start_values",
                 CalibrationWarning,
-                stacklevel=3,
+                stacklevel=4,
             )
 
     @also_called(groups=(Limits,))
@@ -474,7 +492,7 @@ class Calibration(Evaluation):
                     setattr(e, name, self._fit(attached, begin))
             raise
         fit = self._fit(result, begin)
-        _log.info("fit: %s; cost %r after %d evaluations", fit.message, fit.cost, fit.nfev)
+        _log.info("fit: %s after %d evaluations", fit.message, fit.nfev)
         display.end(fit)
         return fit
 
@@ -731,6 +749,9 @@ class Calibration(Evaluation):
             )
 
     def _fit(self, result: OptimizeResult, start: list[float]) -> Fit:
+        if isinstance(result, ParetoFront):
+            # Only a design has several objectives.
+            return result  # type: ignore[return-value]
         return Fit(self, result, np.array(start), self._native.solver())
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -750,7 +771,7 @@ def _solver(name: str) -> str:
     """Returns the name of an integration method, and warns if it replaces the method of another tool."""
     ours = _options.solver(name)
     if ours != name:
-        warnings.warn(f"{name} is not available; using solver={ours!r} instead", CalibrationWarning, stacklevel=4)
+        warnings.warn(f"{name} is not available; using solver={ours!r} instead", CalibrationWarning, stacklevel=5)
     return ours
 
 

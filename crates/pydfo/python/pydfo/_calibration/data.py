@@ -82,6 +82,11 @@ def read(data: Any, needed: list[str], time: str | None, sheet: str | None = Non
 _HDF5 = (".h5", ".hdf", ".hdf5")
 
 
+def all_columns(data: Any) -> list[str]:
+    """Returns the names of all columns of data in memory; empty for a path."""
+    return [] if isinstance(data, (str, os.PathLike)) else list(_columns(data))
+
+
 def read_recording(data: Any, needed: list[str], time: str | None, sheet: str | None = None) -> Table:
     """Like `read`, for data compared with a model: also records the name of the file for the fit."""
     found = read(data, needed, time, sheet)

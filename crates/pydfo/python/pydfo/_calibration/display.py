@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from .._args import values as _values
 from .._optimize.fmin import Callback, combine, listen
 from .._optimize.live_line import DELAY, LiveLine, is_watched
+from .._optimize.pareto_front import ParetoFront
 from .._optimize.progress import Printer
 
 if TYPE_CHECKING:
@@ -61,11 +62,14 @@ class Display:
                 self._page.show_error(f"{type(e).__name__}: {e}")
             raise
 
-    def end(self, fit: Fit) -> None:
+    def end(self, fit: Fit | ParetoFront) -> None:
         """Reports how the fit ended. The page is served as long as the fit exists."""
         if self._page is not None:
-            fit._page = self._page
+            setattr(fit, "_page", self._page)
         if not self._disp:
+            return
+        if isinstance(fit, ParetoFront):
+            print(fit)
             return
         if fit.preflight is not None:
             print(fit.preflight)

@@ -179,6 +179,8 @@ class Experiment:
     windows: list[tuple[float, float]]
     warm_up: float | None
     start_time: float | None
+    final_time: float | None
+    weight: float | None
     mask: list[bool] | None
     mask_column: str | None
     resample: float | None
@@ -211,7 +213,7 @@ class Experiment:
     ) -> None:
         put = object.__setattr__
         put(self, "name", None if name is None else _values.choice("name", name))
-        with _errors_name(self.name):
+        with errors_name(self.name):
             pairs = pairs_of_columns("outputs", outputs)
             driven = sources(inputs)
             named = None if time is None else _values.choice("time", time)
@@ -258,6 +260,8 @@ class Experiment:
             put(self, "windows", intervals(window, windows))
             put(self, "warm_up", _values.optional_number("warm_up", warm_up))
             put(self, "start_time", _values.optional_number("start_time", start_time))
+            put(self, "final_time", None)
+            put(self, "weight", None)
             given = _values.pairs("delays", delays)
             put(self, "delays", [(variable, _values.number("delays", delay)) for variable, delay in given])  # type: ignore[arg-type]
             put(self, "hold_inputs", _values.flag("hold_inputs", hold_inputs))
@@ -283,7 +287,7 @@ class Experiment:
 
 
 @contextmanager
-def _errors_name(experiment: str | None) -> Iterator[None]:
+def errors_name(experiment: str | None) -> Iterator[None]:
     """Prepends the name of the experiment to errors, if it has a name."""
     try:
         yield

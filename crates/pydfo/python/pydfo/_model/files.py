@@ -78,7 +78,7 @@ def example_fmu(name: str, version: str = "2.0", kind: str = "ME") -> Path:
 
     Parameters
     ----------
-    name : {"furuta", "bouncing_ball", "dahlquist", "van_der_pol", "stair", "switched_input", "quad_tank", "exhaust"}
+    name : {"furuta", "bouncing_ball", "dahlquist", "van_der_pol", "stair", "switched_input", "quad_tank", "exhaust", "tank_control"}
         Name of the model.
     version : {"1.0", "2.0", "3.0"}
         Version of FMI of the FMU.

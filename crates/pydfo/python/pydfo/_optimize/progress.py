@@ -83,8 +83,8 @@ class Progress:
     f_spread: float | None
     final_simplex: tuple[FloatArray, FloatArray] | None
     final_population: tuple[FloatArray, FloatArray] | None
-    front: tuple[FloatArray, FloatArray] | None
     _recent: list[tuple[FloatArray, str, bool]]
+    front: tuple[FloatArray, FloatArray] | None = None
 
     @classmethod
     def _of(cls, record: dict[str, Any]) -> Progress:

@@ -1,0 +1,57 @@
+//! `fmufit optimize`: search for the best design of a model.
+
+use super::fit::{check_fit, searched, show_report, watch};
+use super::report;
+use crate::arguments;
+use crate::console::Console;
+use crate::error::{Error, Exit};
+use crate::interrupt::Interrupt;
+use crate::output_paths::check_written;
+use crate::problem::{ProblemFile, short_form};
+use calibration::{Design, RunContext};
+use dfo::{Checkpoint, Termination};
+use std::sync::Arc;
+
+pub(crate) fn run(arguments: &arguments::Optimize, console: &Console) -> Result<Exit, Error> {
+    let mut file = ProblemFile::read(&arguments.problem)?;
+    file.set("fit", short_form::options(&arguments.option)?);
+    file.set("settings", short_form::options(&arguments.setting)?);
+    check_written(arguments.checkpoint.iter().chain(&arguments.report), &file.files())?;
+    arguments.report.iter().try_for_each(|path| report::check_suffix(path))?;
+    let interrupt = Interrupt::watch()?;
+    let is_requested = || interrupt.is_requested();
+    if !file.is_design() {
+        return Err(Error::input(format!(
+            "{}: objective is missing. Add, for example, objective = \"ise(y, 1)\"; to fit parameters to recordings, use fmufit fit",
+            arguments.problem.display()
+        )));
+    }
+    let calibration = Arc::new(file.calibration(&RunContext::new().polling(&is_requested))?);
+    let design = Design::of(Arc::clone(&calibration)).map_err(Error::of_input)?;
+    let mut options = file.options(calibration.parameters().len())?;
+    if let Some(path) = &arguments.checkpoint {
+        options.run.checkpoint = Some(Checkpoint::new(path));
+    }
+    check_fit(&calibration, &options, &[])?;
+    let watch = arguments.watch.then(|| watch(&calibration, console)).transpose()?;
+    let fit = searched(&calibration, options, &[], (&is_requested, watch.as_ref()), console)
+        .inspect_err(|error| watch.iter().for_each(|watch| watch.show_error(&error.to_string())))?;
+    let is_interrupted = fit.report.termination == Termination::Interrupted || interrupt.is_requested();
+    let result = design.result(fit, &RunContext::new().polling(&is_requested));
+    match arguments.json {
+        true => console.data(&(result.to_json().map_err(Error::of_work)? + "\n")),
+        false => console.result(&result.to_string()),
+    }
+    if let Some(path) = arguments.report.as_ref().filter(|_| !interrupt.is_requested()) {
+        report::write(&result.fit, &calibration, path, None, &RunContext::new().polling(&is_requested))?;
+        console.note(&format!("wrote {}", path.display()));
+    }
+    if let Some(watch) = &watch {
+        show_report(watch, &result.fit, &calibration, &interrupt, console);
+    }
+    Ok(match result.is_success() {
+        _ if is_interrupted => Exit::Interrupted,
+        true => Exit::Success,
+        false => Exit::NoSuccess,
+    })
+}

@@ -1,0 +1,67 @@
+//! `optimize`: designs from problem files, and mistakes in them.
+
+use crate::support::{Folder, json};
+
+const DESIGN: &str = r#"model = "model.fmu"
+objective = "integral(x) + k**2"
+
+[[parameters]]
+name = "k"
+start = 2.0
+lower = 0.1
+upper = 10
+
+[[scenarios]]
+final_time = 50
+"#;
+
+fn design(text: &str) -> Folder {
+    let folder = Folder::with_model("dahlquist");
+    folder.write("design.toml", text);
+    folder
+}
+
+#[test]
+fn design_is_optimised_and_reported() {
+    let folder = design(DESIGN);
+    let ran = folder.run("optimize design.toml --json --quiet --report design.html --checkpoint d.ckpt");
+    let found = json(&ran.good());
+    // The minimum of 1/k + k^2.
+    let k = found["parameters"][0]["value"].as_f64().unwrap();
+    assert!((k - 0.5_f64.cbrt()).abs() < 2e-3, "{found}");
+    assert!((found["result"]["criteria"][0]["value"].as_f64().unwrap() * k - 1.0).abs() < 1e-5, "{found}");
+    let page = std::fs::read_to_string(folder.path("design.html")).unwrap();
+    assert!(page.contains("Design of") && page.contains("integral(x)") && !page.contains("NaN"), "{page}");
+    // A complete checkpoint returns its result.
+    let text = folder.run("optimize design.toml --quiet --checkpoint d.ckpt").good();
+    assert!(text.contains("integral(x) + k**2 = 1.88988") && text.contains("resumed"), "{text}");
+    // The design fails if its constraint cannot hold.
+    let constrained = DESIGN.replace("[[parameters]]", "constraints = [\"final(x) >= 2\"]\n[[parameters]]");
+    let ran = design(&constrained).run("optimize design.toml --quiet --option max_evaluations=30");
+    assert_eq!(ran.code, 1, "{ran:?}");
+}
+
+#[test]
+fn mistakes_in_designs_name_their_line() {
+    for (from, to, expected) in [
+        (
+            "integral(x)",
+            "integral(y)",
+            "design.toml, line 2: objective 'integral(y) + k**2': 'y' ('x'?) is neither",
+        ),
+        (
+            "integral(x)",
+            "integal(x)",
+            "design.toml, line 2: objective: 'integal' is not a function; 'integral'?",
+        ),
+        ("[[scenarios]]", "[[experiments]]", "experiments belong to a fit, and objective to a design"),
+        ("final_time = 50", "final_time = -1", "final_time = -1 must be later than the start"),
+        ("objective = \"integral(x) + k**2\"\n", "", "scenarios belong to a design"),
+        ("[[parameters]]", "combine = \"best\"\n[[parameters]]", "combine"),
+    ] {
+        let error = design(&DESIGN.replacen(from, to, 1)).run("optimize design.toml").wrong_input();
+        assert!(error.contains(expected), "{error}");
+    }
+    let error = design(DESIGN).run("fit design.toml").wrong_input();
+    assert!(error.contains("Use fmufit optimize"), "{error}");
+}

@@ -1,0 +1,1 @@
+"""Design optimisation of a model."""
