@@ -11,6 +11,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from pydfo import Design, Parameter, Scenario
 
 HERE = Path(__file__).resolve().parent
 SEED = 1
@@ -33,6 +34,16 @@ def methods(calibration):
     return figure
 
 
+def designs():
+    """Yields the name and the figure of a design and of a Pareto front."""
+    controller = [Parameter("K1", 3.0, 0.5, 20.0), Parameter("T1", 30.0, 5.0, 200.0)]
+    step = Scenario(60, start_values={"r2": 12.783})
+    design = Design("tank_control.fmu", controller, "itae(e1)", step, constraints=["overshoot(x1, r1) <= 5"])
+    yield "design", design.optimize().plot(["x1", "u1"])
+    trade_off = Design("tank_control.fmu", controller, ["itae(e1)", "max(abs(u1 - u2))"], step)
+    yield "front", trade_off.pareto(population=40, rng=SEED, max_evaluations=1200).plot()
+
+
 def drawn():
     """Yields the name and the figure of each picture."""
     calibration = calibration_of("pendulum")
@@ -46,6 +57,7 @@ def drawn():
     yield "exhaust", pipe.plot()
     yield "validation", pipe.validate(windows=(501, 1200)).plot()
     yield "correlation", pipe.plot_correlation()
+    yield from designs()
 
 
 def write(folder):

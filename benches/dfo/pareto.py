@@ -4,9 +4,8 @@
 
 Problems: ZDT1 to ZDT3 with 30 parameters (Zitzler, Deb and Thiele, Evol. Comput. 8, 2000), and two convex criteria, the
 squared distances of two parameters in [-3, 3] from (1, 0) and (-1, 0). Both programs have 100 members and their own
-default settings; pymoo repairs neither budget nor seed. The hypervolumes of both fronts are computed by pymoo, up to
-(1.1, 1.1) for ZDT1 and ZDT2, (1, 1.1) for ZDT3, and (4.4, 4.4) for the convex criteria. A ratio above 1 is in favour
-of pydfo.
+default settings. The hypervolumes of both fronts are computed by pymoo, up to (1.1, 1.1) for ZDT1 and ZDT2, (1, 1.1)
+for ZDT3, and (4.4, 4.4) for the convex criteria. A ratio above 1 is in favour of pydfo.
 """
 
 from __future__ import annotations

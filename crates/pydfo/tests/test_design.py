@@ -117,6 +117,7 @@ def test_data_columns_are_references_and_inputs():
         ({"constraints": ["max(y) <= 1"]}, r"constraint 'max\(y\) <= 1': 'y' \('x'\?\)"),
         ({"scenarios": []}, "scenarios is empty"),
         ({"scenarios": Scenario(-1)}, "final_time = -1 must be later"),
+        ({"scenarios": [Scenario(1, name="a")] * 2}, "two scenarios are named 'a'"),
         ({"objective": lambda run: 0.0}, "requires outputs and times"),
     ],
 )

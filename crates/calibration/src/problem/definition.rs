@@ -183,7 +183,8 @@ impl Problem {
             )));
         }
         if let Some(twice) = (1..names.len()).find(|&k| names[..k].contains(&names[k])) {
-            return Err(CalibrationError::Setup(format!("two experiments are named '{}'", names[twice])));
+            let noun = if self.goals.is_empty() { "experiments" } else { "scenarios" };
+            return Err(CalibrationError::Setup(format!("two {noun} are named '{}'", names[twice])));
         }
         for parameter in &self.parameters {
             let given = parameter.given_experiments();

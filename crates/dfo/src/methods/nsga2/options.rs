@@ -34,8 +34,8 @@ pub struct Nsga2 {
 
 impl Default for Nsga2 {
     /// Returns the settings of the experiments of Deb et al. (2002), except the crossover index, which is 20
-    /// there. With 15, as in pymoo, the mean hypervolumes of ZDT1 and ZDT2 after 5000 evaluations are 3 and
-    /// 24 % larger, and they are equal after 25 000 (seeds 101 to 141 of `benches/dfo/pareto.py`).
+    /// there. With 15, as in pymoo, the mean hypervolumes of ZDT1 and ZDT2 after 5000 evaluations are 2 and
+    /// 15 % larger, and they are equal after 25 000 (seeds from 101 of `benches/dfo/pareto.py`).
     fn default() -> Self {
         Self {
             population: 100,

@@ -56,6 +56,9 @@ pub struct Nsga2State {
     /// The second child of the last pair if the number of children is odd.
     #[serde(skip)]
     spare: Vec<f64>,
+    /// Members of the tournaments of a generation.
+    #[serde(skip)]
+    drawn: Vec<usize>,
 }
 
 impl Nsga2State {
@@ -71,6 +74,7 @@ impl Nsga2State {
             rounds: PendingGeneration::with_capacity(n),
             n_iterations: 0,
             spare: Vec::new(),
+            drawn: Vec::new(),
         })
     }
 
@@ -153,12 +157,11 @@ impl Nsga2State {
         self.members = values;
     }
 
-    /// Returns the winner of a tournament of two random members: the member that dominates the other,
-    /// otherwise the one with the larger crowding distance, otherwise the first. The program of the authors
-    /// of the paper compares in this way, and the paper by the front instead of by dominance. By the front,
-    /// more populations lose the spread of ZDT2 (`benches/dfo/pareto.py`).
-    fn parent(population: &RankedPoints, members: &[Values], stream: &mut Stream) -> usize {
-        let (first, second) = (stream.below(members.len()), stream.below(members.len()));
+    /// Returns the winner of a tournament of two members: the member that dominates the other, otherwise the
+    /// one with the larger crowding distance, otherwise the first. The program of the authors of the paper
+    /// compares in this way, and the paper by the front instead of by dominance. By the front, more
+    /// populations lose the spread of ZDT2 (`benches/dfo/pareto.py`).
+    fn winner(population: &RankedPoints, members: &[Values], [first, second]: [usize; 2]) -> usize {
         let (a, b) = (&members[first], &members[second]);
         let is_second = match (population.cost(first), population.cost(second)) {
             (Cost::Value(_), Cost::Value(_)) if dominates(&a.criteria, &b.criteria) => false,
@@ -170,9 +173,25 @@ impl Nsga2State {
         if is_second { second } else { first }
     }
 
+    /// Draws the members of the tournaments of a generation: consecutive random permutations of the members,
+    /// so that each member enters equally many tournaments, as in the program of the authors of the paper.
+    fn draw_tournaments(&mut self) {
+        let n = self.members.len();
+        let mut stream = Stream::new(self.pool.seed, Purpose::Individual, self.n_iterations as u64 + 1, n);
+        self.drawn.clear();
+        while self.drawn.len() < 4 * n.div_ceil(2) {
+            let begin = self.drawn.len();
+            self.drawn.extend(0..n);
+            for k in (1..n).rev() {
+                self.drawn.swap(begin + k, begin + stream.below(k + 1));
+            }
+        }
+    }
+
     /// Creates the children. Each pair uses a separate random stream.
     fn make_children(&mut self) {
-        let Self { options, pool, members, spare, .. } = self;
+        self.draw_tournaments();
+        let Self { options, pool, members, spare, drawn, .. } = self;
         let Populations { setup, seed, population, candidates } = pool;
         let space = &setup.space;
         let rate = options.mutation_rate_of(space.n_free());
@@ -182,9 +201,11 @@ impl Nsga2State {
         let n = candidates.len();
         for slot in (0..n).step_by(2) {
             let mut stream = Stream::new(*seed, Purpose::Individual, self.n_iterations as u64 + 1, slot / 2);
+            let parent = |at: usize| Self::winner(population, members, [drawn[at], drawn[at + 1]]);
+            let parents = [parent(2 * slot), parent(2 * slot + 2)];
             for _ in 0..ATTEMPTS {
-                first.copy_from_slice(population.u(Self::parent(population, members, &mut stream)));
-                second.copy_from_slice(population.u(Self::parent(population, members, &mut stream)));
+                first.copy_from_slice(population.u(parents[0]));
+                second.copy_from_slice(population.u(parents[1]));
                 if stream.chance(options.crossover_rate) {
                     cross(&mut stream, space, options.crossover_index, &mut first, &mut second);
                 }
