@@ -7,6 +7,8 @@ BIN    := $(VENV)/bin
 SITE   := target/site-venv
 ENGINES := target/engines-venv
 WINDOWS := x86_64-pc-windows-gnu
+MINGW := CARGO_TARGET_X86_64_PC_WINDOWS_GNU_LINKER=x86_64-w64-mingw32-gcc
+WINE ?= $(or $(shell command -v wine64),/usr/lib/wine/wine64)
 # The extension module is left to the interpreter to link.
 export PYO3_BUILD_EXTENSION_MODULE := 1
 export CARGO_TERM_COLOR ?= auto
@@ -20,7 +22,7 @@ endef
 # $(call develop,options): builds the Python module and installs it into .venv.
 develop = @$(BIN)/maturin develop --quiet --manifest-path crates/pydfo/Cargo.toml $(1)
 
-.PHONY: help demo test test-rust test-python test-packaging test-engines test-long lint lint-windows bench bench-dfo doc pictures build fuzz sanitize nightly clean
+.PHONY: help demo test test-rust test-python test-packaging test-engines test-windows test-long lint lint-windows bench bench-dfo doc pictures build fuzz sanitize nightly clean
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 18
 
@@ -59,6 +61,12 @@ test-packaging: $(VENV)/.tools  ## the source distribution builds and works in a
 test-engines: $(VENV)/.tools $(ENGINES)/.done  ## fits on Dask, Ray, IPyParallel, joblib and MPI; engines that cannot be installed are skipped
 	@VIRTUAL_ENV=$(CURDIR)/$(ENGINES) $(BIN)/maturin develop --quiet --manifest-path crates/pydfo/Cargo.toml
 	$(call suite,engines,$(ENGINES)/bin/python -m pytest -q -rs crates/pydfo/tests/test_executors.py)
+
+test-windows: build  ## numerics, fits and faults under Wine; wants wine64, mingw and `rustup target add x86_64-pc-windows-gnu`
+	$(call suite,windows tests,$(MINGW) CARGO_TARGET_X86_64_PC_WINDOWS_GNU_RUNNER=$(WINE) \
+		cargo test --quiet --target $(WINDOWS) --package fmufit-base --package fmufit-ode)
+	$(call suite,windows fits,$(MINGW) cargo build --quiet --target $(WINDOWS) --package fmufit-cli && \
+		WINE=$(WINE) $(BIN)/python tools/windows_check.py target/$(WINDOWS)/debug/fmufit.exe target/windows-check)
 
 test-long: $(VENV)/.tools build  ## what takes long: many runs, memory
 	$(call suite,long rust tests,cargo test --workspace --release --quiet -- --ignored)

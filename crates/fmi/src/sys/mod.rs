@@ -61,6 +61,8 @@ mod types;
 #[cfg(unix)]
 pub(crate) mod unix;
 mod versioned_functions;
+#[cfg(windows)]
+pub(crate) mod windows;
 mod worker_state;
 
 #[cfg(target_os = "linux")]

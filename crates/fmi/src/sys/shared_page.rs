@@ -61,7 +61,7 @@ pub(crate) struct LastCall {
 }
 
 /// The shared page, mapped into this process. The module of the system creates, maps and unmaps it
-/// (`unix/mapping.rs`).
+/// (`unix/mapping.rs`, `windows/mapping.rs`).
 pub(crate) struct Page {
     /// Address of memory that exists until this is dropped, and contained zeros when it was created.
     pub(super) shared: std::ptr::NonNull<Shared>,

@@ -1,7 +1,8 @@
 //! Everything that worker processes need from the operating system.
 //!
 //! The protocol, the set of workers and the serving loop use only the items below. An implementation is a
-//! module with these items. `unix` is one; `absent` replaces it on systems without worker processes.
+//! module with these items. `unix` and `windows` are two; `absent` replaces them on systems without worker
+//! processes.
 //!
 //! # In the process that starts workers
 //!
@@ -64,12 +65,10 @@
 //!
 //! # Without `fork`
 //!
-//! A system without `fork` (Windows) needs no template: `Starter::load` does nothing, and `start_worker`
-//! starts [`Launcher::command`](super::launcher::Launcher::command) with pipes, in a group that can be ended
-//! as a whole (a job object that ends when its handle is closed). `await_order` reads the order, and returns
-//! the worker with `has_loaded` false.
+//! Windows has no `fork`, and needs no template: `Starter::load` does nothing, and `start_worker` starts
+//! [`Launcher::command`](super::launcher::Launcher::command) in a group that can be ended as a whole.
 
-#[cfg(not(unix))]
+#[cfg(not(any(unix, windows)))]
 mod absent;
 #[cfg_attr(
     not(all(
@@ -82,11 +81,15 @@ mod absent;
 mod sandbox;
 #[cfg(unix)]
 mod unix;
+#[cfg(windows)]
+mod windows;
 
-#[cfg(not(unix))]
+#[cfg(not(any(unix, windows)))]
 use absent as system;
 #[cfg(unix)]
 use unix as system;
+#[cfg(windows)]
+use windows as system;
 
 pub use sandbox::check_sandbox;
 pub(super) use sandbox::confine_self;

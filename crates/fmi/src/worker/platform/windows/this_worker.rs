@@ -1,0 +1,50 @@
+//! A worker process receives its order and sets up itself.
+
+use super::order::{Channel, Received};
+use crate::sys::Page;
+use crate::sys::windows::{end_on_errors, forget_variable, take_handle, take_socket};
+use crate::worker::frame::{Frame, FrameSize};
+use crate::worker::handshake::{Assigned, LEVEL, WORKER_VARIABLE};
+use crate::worker::limits::WorkerLimits;
+use std::io::{self, ErrorKind};
+use std::time::Duration;
+
+/// Time between two checks of a channel with unread bytes.
+const LOOK: Duration = Duration::from_millis(10);
+
+/// Reads the order. The working folder, the environment and the output were set when the process was started.
+pub(in crate::worker) fn await_order(
+    _: &mut dyn FnMut(&Frame) -> io::Result<bool>,
+) -> io::Result<Option<Assigned<Channel>>> {
+    let mut received = Frame::default();
+    let stdin = io::stdin();
+    match received.read(&mut stdin.lock(), &mut Vec::new(), FrameSize::ANY, &mut || Ok(())) {
+        // The worker is not needed any more.
+        Err(error) if error.kind() == ErrorKind::UnexpectedEof => return Ok(None),
+        outcome => outcome?,
+    }
+    let Received { socket, page, folder, start } = received.head()?;
+    // A program that the FMU starts must not serve.
+    forget_variable(WORKER_VARIABLE);
+    forget_variable(LEVEL);
+    let page = Page::of(&take_handle(page))?.tell_calls().map_err(io::Error::other)?;
+    Ok(Some(Assigned { start, channel: take_socket(&socket)?, page, folder, has_loaded: false }))
+}
+
+/// Makes faults of the FMU end this process. The memory is limited by the group of the process.
+pub(in crate::worker) fn limit_self(_: &WorkerLimits) -> io::Result<()> {
+    end_on_errors();
+    Ok(())
+}
+
+/// Waits until the other end is closed.
+pub(in crate::worker) fn wait_until_closed(channel: &Channel) {
+    loop {
+        match channel.peek(&mut [0]) {
+            Ok(0) => break,
+            Ok(_) => std::thread::sleep(LOOK),
+            Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock) => {}
+            Err(_) => break,
+        }
+    }
+}
