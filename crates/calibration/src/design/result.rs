@@ -94,30 +94,34 @@ impl fmt::Display for DesignResult {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let goal = self.goals.first().map_or("", String::as_str);
         let word = if self.is_success() { "optimised" } else { "not converged" };
-        write!(f, "{goal} = {} ({word})", Number(self.value))?;
+        write!(f, "{goal} = {:.6} ({word})", Number(self.value))?;
         if let Some(before) = self.start.as_ref().and_then(|start| start.goals.first()) {
-            write!(f, ", at the start {}", Number(*before))?;
+            write!(f, ", at the start {:.6}", Number(*before))?;
         }
         let width = self.names.iter().map(|name| name.chars().count()).max().unwrap_or(0);
         for ((name, unit), value) in self.names.iter().zip(&self.units).zip(&self.x) {
             let unit = unit.as_ref().map_or_else(String::new, |unit| format!(" {unit}"));
-            write!(f, "\n  {name:width$} = {}{unit}", Number(*value))?;
+            write!(f, "\n  {name:width$} = {:.6}{unit}", Number(*value))?;
         }
         let several = self.point.iter().flat_map(|point| &point.criteria).any(|c| c.scenario != "run1");
         for criterion in self.point.iter().flat_map(|point| &point.criteria) {
             let scenario = if several { format!(" [{}]", criterion.scenario) } else { String::new() };
-            write!(f, "\n  {}{scenario}: {}", criterion.text, Number(criterion.value))?;
+            write!(f, "\n  {}{scenario}: {:.6}", criterion.text, Number(criterion.value))?;
         }
         for limited in self.point.iter().flat_map(|point| &point.constraints) {
             let violation = limited.violation();
             let state = if violation > 0.0 {
-                format!("violated by {}", Number(violation))
+                format!("violated by {:.6}", Number(violation))
             } else {
                 "holds".to_owned()
             };
             write!(f, "\n  constraint {}: {state}", limited.text)?;
         }
-        write!(f, "\n  {} evaluations; {}", self.fit.report.n_evaluations, self.fit.report.message)?;
+        let report = &self.fit.report;
+        write!(f, "\n  {} evaluations; {}", report.n_evaluations, report.message)?;
+        if let Some(resumed) = &report.resumed {
+            write!(f, "\n  {resumed}")?;
+        }
         for finding in &self.findings {
             write!(f, "\n  {finding}")?;
         }

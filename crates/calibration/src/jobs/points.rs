@@ -176,8 +176,12 @@ impl JobFolder {
                 let (calibration, loss) = self.problem(point.name.problem, fmu)?;
                 let (n, got) = (calibration.n_values(), residuals.len());
                 if got != n {
+                    let what = match n == calibration.n_residuals() {
+                        true => "residuals",
+                        false => "residuals and values of constraints",
+                    };
                     return Err(CalibrationError::Setup(format!(
-                        "{got} values given for point '{}', expected {n}",
+                        "{got} {what} given for point '{}', expected {n}",
                         point.claim
                     )));
                 }

@@ -34,7 +34,10 @@ fn design_is_optimised_and_reported() {
     assert!(page.contains("Design of") && page.contains("integral(x)") && !page.contains("NaN"), "{page}");
     // A complete checkpoint returns its result.
     let text = folder.run("optimize design.toml --quiet --checkpoint d.ckpt").good();
-    assert!(text.contains("integral(x) + k**2 = 1.88988") && text.contains("resumed"), "{text}");
+    assert!(
+        text.contains("integral(x) + k**2 = 1.88988") && text.contains("continued from d.ckpt"),
+        "{text}"
+    );
     // The design fails if its constraint cannot hold.
     let constrained = DESIGN.replace("[[parameters]]", "constraints = [\"final(x) >= 2\"]\n[[parameters]]");
     let ran = design(&constrained).run("optimize design.toml --quiet --option max_evaluations=30");
@@ -52,11 +55,11 @@ fn mistakes_in_designs_name_their_line() {
         (
             "integral(x)",
             "integal(x)",
-            "design.toml, line 2: objective: 'integal' is not a function; 'integral'?",
+            "design.toml, line 2: 'integal' is not a function; 'integral'? (column 1)",
         ),
         ("[[scenarios]]", "[[experiments]]", "experiments belong to a fit, and objective to a design"),
         ("final_time = 50", "final_time = -1", "final_time = -1 must be later than the start"),
-        ("objective = \"integral(x) + k**2\"\n", "", "scenarios belong to a design"),
+        ("objective = \"integral(x) + k**2\"\n", "", "objective is missing. Add, for example, objective = "),
         ("[[parameters]]", "combine = \"best\"\n[[parameters]]", "combine"),
     ] {
         let error = design(&DESIGN.replacen(from, to, 1)).run("optimize design.toml").wrong_input();
