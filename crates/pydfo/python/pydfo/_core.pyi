@@ -50,6 +50,7 @@ __all__ = [
     "start_worker_ahead",
     "functions_of_fit",
     "hypervolume",
+    "is_maximised",
     "is_output_scale",
     "is_sigma_text",
     "load_fit",
