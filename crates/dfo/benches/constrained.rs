@@ -165,7 +165,8 @@ fn run(problem: &Problem, method: &str, are_balls: bool, seed: u64) -> f64 {
 
 fn main() {
     let methods = std::env::args().skip(1).filter(|word| !word.starts_with("--")).collect::<Vec<_>>();
-    let methods = if methods.is_empty() { vec!["cma-es".to_owned(), "de".to_owned()] } else { methods };
+    let methods =
+        if methods.is_empty() { ["cma-es", "de", "multistart"].map(str::to_owned).to_vec() } else { methods };
     println!("| constraints | function | n | m |");
     for are_balls in [false, true] {
         let mut totals = vec![(0, 0); methods.len()];

@@ -84,6 +84,13 @@ impl Stream {
         self.uniform() < probability
     }
 
+    /// Puts the entries into a random order, all orders equally likely (Fisher and Yates).
+    pub(crate) fn shuffle<T>(&mut self, entries: &mut [T]) {
+        for k in (1..entries.len()).rev() {
+            entries.swap(k, self.below(k + 1));
+        }
+    }
+
     /// Returns an integer in `0..n`, all equally likely (Lemire, ACM Trans. Model. Comput. Simul. 29, 2019).
     /// Returns 0 if `n` is 0.
     pub(crate) fn below(&mut self, n: usize) -> usize {

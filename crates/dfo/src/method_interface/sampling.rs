@@ -47,9 +47,7 @@ impl Sampling {
                 for k in 0..n {
                     let mut stream = Stream::new(seed, Purpose::Sampling, 0, k);
                     let mut slices: Vec<usize> = (0..count).collect();
-                    for i in (1..count).rev() {
-                        slices.swap(i, stream.below(i + 1));
-                    }
+                    stream.shuffle(&mut slices);
                     for (i, slice) in slices.iter().enumerate() {
                         out[i * n + k] = (*slice as f64 + stream.uniform()) / count as f64;
                     }

@@ -164,7 +164,7 @@ impl Report {
             n_iterations: 0,
             n_batches: 0,
             n_failed: found.failures.iter().map(|(_, count)| count).sum(),
-            n_infeasible: 0,
+            n_infeasible: found.n_infeasible,
             n_lost: 0,
             n_cached: 0,
             n_speculative: 0,
@@ -317,7 +317,7 @@ pub(crate) fn conclude(
     let mut residuals =
         Some(std::mem::take(&mut ledger.best_residuals)).filter(|residuals| !residuals.is_empty());
     let mut constr_violation = ledger.constraints.violation(&ledger.best_constraints);
-    let message = message(method, ledger, limits, &termination, fun, seconds);
+    let message = message(method, ledger, limits, &termination, front.as_ref(), fun, seconds);
     if let Some((point, distance)) = front.as_ref().and_then(ParetoFront::compromise) {
         (x, fun) = (point.x.clone(), distance);
         (residuals, constr_violation) = (Some(point.criteria.clone()), point.constr_violation);
@@ -380,6 +380,7 @@ fn message(
     ledger: &Ledger,
     limits: &Limits,
     termination: &Termination,
+    front: Option<&ParetoFront>,
     fun: f64,
     seconds: f64,
 ) -> String {
@@ -458,7 +459,7 @@ fn message(
         Termination::Interrupted => with_tests("interrupted".to_owned()),
         Termination::Aborted(reason) => format!("aborted: {reason}"),
         Termination::NotSaved { reason, ended } => {
-            let ended = message(method, ledger, limits, ended, fun, seconds);
+            let ended = message(method, ledger, limits, ended, None, fun, seconds);
             return format!("{ended}; the last state could not be saved: {reason}");
         }
     };
@@ -469,7 +470,7 @@ fn message(
             format!("{ended}; the best point violates a nonlinear constraint by {}", Number(violation))
         }
     };
-    if let Some(front) = method.front() {
+    if let Some(front) = front {
         return match front.points.len() {
             0 => format!("{ended}; no evaluated point is feasible"),
             1 => format!("{ended}; the front has 1 point"),

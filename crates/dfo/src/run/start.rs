@@ -194,8 +194,8 @@ impl<M: MethodOptions> Description<M> {
     }
 }
 
-/// Returns the error of a box without a middle: that of the method if it requires a finite box, otherwise
-/// that of the missing start.
+/// Returns the error for a box without a middle. If the method requires a finite box, its error names the
+/// bound; otherwise the start is missing.
 fn open_box<M: MethodOptions>(method: &M, bounds: &Bounds) -> Error {
     let inside =
         bounds.lower().iter().zip(bounds.upper()).map(|(lower, upper)| 0.0_f64.max(*lower).min(*upper));

@@ -110,9 +110,7 @@ impl EnsembleSampler {
         let step = self.n_moves / 2;
         let mut order: Vec<usize> = (0..len).collect();
         let mut stream = Stream::new(self.seed, Purpose::Generation, step, 0);
-        for k in (1..len).rev() {
-            order.swap(k, stream.below(k + 1));
-        }
+        stream.shuffle(&mut order);
         let (first, second) = order.split_at(len / 2);
         let (moving, others) = if self.n_moves.is_multiple_of(2) { (first, second) } else { (second, first) };
         let usual = 2.38 / (2.0 * n as f64).sqrt();

@@ -341,8 +341,8 @@ mod tests {
         }
     }
 
-    /// The intervals of the bootstrap are those of independent points. Sobol points are more even, so the
-    /// indices are nearer to the closed forms than the intervals state.
+    /// The bootstrap assumes independent points. Sobol points are more even, so the indices are nearer to the
+    /// closed forms than the intervals state.
     #[test]
     fn sobol_intervals_contain_closed_forms_of_ishigami() {
         let [first, total, second] = ishigami_indices();

@@ -58,9 +58,7 @@ pub(super) fn trajectories(
         let mut stream = Stream::new(seed, Purpose::Sampling, GENERATION, trajectory);
         let mut ends: Vec<[usize; 2]> = (0..d).map(|_| ends(&mut stream, levels)).collect();
         let mut order: Vec<usize> = (0..d).collect();
-        for i in (1..d).rev() {
-            order.swap(i, stream.below(i + 1));
-        }
+        stream.shuffle(&mut order);
         for changed in [None].into_iter().chain(order.into_iter().map(Some)) {
             if let Some(k) = changed {
                 ends[k].swap(0, 1);

@@ -106,6 +106,7 @@ impl Nsga2State {
                 })
         };
         stored.space == *space
+            && stored.constraints == setup.constraints
             && self.options.check().is_ok()
             && (population.len(), candidates.len()) == (n, n)
             && population.is_sound(space)
@@ -182,9 +183,7 @@ impl Nsga2State {
         while self.drawn.len() < 4 * n.div_ceil(2) {
             let begin = self.drawn.len();
             self.drawn.extend(0..n);
-            for k in (1..n).rev() {
-                self.drawn.swap(begin + k, begin + stream.below(k + 1));
-            }
+            stream.shuffle(&mut self.drawn[begin..]);
         }
     }
 

@@ -18,6 +18,7 @@ mod angles;
 mod bounds;
 mod coordinates;
 mod linear;
+mod linear_points;
 mod linear_set;
 
 pub use bounds::Bounds;
