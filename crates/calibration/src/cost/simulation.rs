@@ -15,8 +15,8 @@ use crate::problem::warning::SetupWarning;
 use base::Number;
 use fmi::description::Causality;
 use fmi::{
-    FmiError, Fmu, Inputs, InterfaceKind, ModelDescription, SharedSimulator, SimulateOptions, SimulationPlan,
-    Simulator, Trajectory, Value,
+    DEFAULT_INTERVALS, FmiError, Fmu, Inputs, InterfaceKind, ModelDescription, SharedSimulator,
+    SimulateOptions, SimulationPlan, Simulator, Trajectory, Value,
 };
 use ode::{Observer, Report};
 use std::borrow::Cow;
@@ -405,7 +405,7 @@ fn range(of: &Affine, assigned: &Assignments, elements: &[Element]) -> (f64, f64
 /// Returns the communication points of a co-simulation from its start to its end.
 fn communication_points(plan: &SimulationPlan) -> Vec<f64> {
     let (start, end) = (plan.start_time(), plan.final_time());
-    let step = plan.regular_communication_step().unwrap_or((end - start) / DEFAULT_STEPS);
+    let step = plan.regular_communication_step().unwrap_or((end - start) / DEFAULT_INTERVALS as f64);
     let tolerance = base::time_tolerance(start, end);
     let n = ((end - start + tolerance) / step).floor();
     let mut points: Vec<f64> = (0..=n as u64).map(|k| (start + k as f64 * step).min(end)).collect();
@@ -419,9 +419,6 @@ fn communication_points(plan: &SimulationPlan) -> Vec<f64> {
 /// tank controllers have relative noise of 1.6e-5, and searches with constraints end without convergence;
 /// with 1e-8, the noise is 1e-8 (`benches/design.md`).
 const DESIGN_TOLERANCE: f64 = 1e-8;
-
-/// Number of communication steps of a model that states no step size, as for the rows of a simulation.
-const DEFAULT_STEPS: f64 = 500.0;
 
 /// Returns the end time of a simulation: the last measurement, or the last sample if outputs may be early.
 fn final_time(

@@ -276,7 +276,7 @@ impl<'t> Parser<'t> {
         Ok(())
     }
 
-    /// Adds a criterion, whose value is that of a name.
+    /// Adds a criterion. The formula treats its text like a name.
     fn criterion(&mut self, word: &Word, criterion: Criterion) -> Result<(), ExpressionError> {
         let text = criterion.text();
         if let Some(inner) = criterion.arguments.iter().flat_map(Expression::criteria).next() {

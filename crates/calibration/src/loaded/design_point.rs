@@ -55,7 +55,7 @@ impl DesignPoint {
     /// Computes the values from the criteria of all scenarios.
     fn new(evaluator: &LoadedProblem, x: &[f64], criteria: &[f64]) -> Self {
         let goals = &evaluator.goals;
-        let of_goals = (0..goals.len()).map(|k| goals.value_of_cost(k, goals.cost(k, x, criteria)));
+        let of_goals = (0..goals.len()).map(|k| goals.value(k, x, criteria));
         let named = evaluator.simulations.iter().flat_map(|simulation| {
             simulation.criteria.texts().iter().map(|text| (text.clone(), simulation.name.clone()))
         });

@@ -116,6 +116,11 @@ impl Goals {
         self.combination.of(goal.arguments.iter().enumerate().map(of))
     }
 
+    /// Returns the combined value of goal `k`.
+    pub(crate) fn value(&self, k: usize, x: &[f64], criteria: &[f64]) -> f64 {
+        self.value_of_cost(k, self.cost(k, x, criteria))
+    }
+
     /// Returns the value of goal `k` that belongs to a [cost](Self::cost).
     pub(crate) fn value_of_cost(&self, k: usize, cost: f64) -> f64 {
         if self.goals.get(k).is_some_and(|goal| goal.is_maximum) { -cost } else { cost }

@@ -174,7 +174,7 @@ fn sentence(fit: &Fit) -> String {
         let before = fit
             .start_cost
             .map_or_else(String::new, |cost| format!(" (at the start {})", rounded(cost, DIGITS)));
-        let ended = ended.replacen("The fit", "The search", 1);
+        let ended = ended.replacen("fit", "search", 1);
         return format!(
             "{ended}{doubt}: minimised objective {}{before}.{resumed}{counts}",
             rounded(fit.cost, DIGITS)

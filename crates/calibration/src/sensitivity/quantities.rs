@@ -59,7 +59,7 @@ impl<'a> Quantities<'a> {
             names: goals.chain(criteria.into_iter().map(|(_, text)| text)).collect(),
             values: Box::new(move |point| {
                 let goals = &evaluator.goals;
-                let value = |k: usize| goals.value_of_cost(k, goals.cost(k, point.x, point.criteria));
+                let value = |k: usize| goals.value(k, point.x, point.criteria);
                 let criterion = |place: &usize| point.criteria.get(*place).copied().unwrap_or(f64::NAN);
                 (0..goals.len()).map(value).chain(places.iter().map(criterion)).collect()
             }),

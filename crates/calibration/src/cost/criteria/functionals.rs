@@ -3,17 +3,16 @@
 use super::pieces::{Pieces, SignalPieces, larger};
 use crate::expression::Functional;
 
-/// Fraction of a step response within which it has settled, unless another one is given (the convention of
-/// control engineering: Franklin, Powell, Emami-Naeini, Feedback Control of Dynamic Systems, section 3.4,
-/// uses 1 %; the usual default of tools is 2 %).
+/// Fraction of a step within which the response has settled, unless another one is given; the default of
+/// `stepinfo` in MATLAB.
 pub(super) const BAND: f64 = 0.02;
 
 /// Criterion over the signals with these indices.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Resolved {
     pub(super) functional: Functional,
-    /// Index of the signal. If there is a reference, it is subtracted where the functional compares with it
-    /// at each time.
+    /// Index of the signal. A functional that compares with a reference at each time has the difference as
+    /// its signal.
     pub(super) signal: usize,
     /// Index of the reference of a step response; without one, the final value is the reference.
     pub(super) reference: Option<usize>,

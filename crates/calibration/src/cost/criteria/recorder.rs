@@ -57,7 +57,7 @@ impl<'a> Recorder<'a> {
 
     /// Receives a row of the simulation.
     pub(crate) fn row(&mut self, sample: &Sample<'_>) {
-        let Space { pieces, at_end, largest: _, values, stack, points, .. } = &mut *self.space;
+        let Space { pieces, at_end, values, stack, points, .. } = &mut *self.space;
         let before = self.row.replace(sample.time).filter(|before| !self.has_steps && *before < sample.time);
         points.clear();
         points.extend_from_slice(at_end);
