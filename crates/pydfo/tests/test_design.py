@@ -97,6 +97,8 @@ def test_callable_objective_receives_simulation_results():
     )
     result = design.optimize(max_evaluations=60)
     assert result["k"] == pytest.approx(10.0, abs=1e-2) and result.point is None
+    with pytest.raises(ValueError, match="disp is not available for a callable objective"):
+        design.optimize(disp=True)
 
 
 def test_data_columns_are_references_and_inputs():

@@ -579,13 +579,13 @@ impl HybridSystem for Integration<'_> {
         Ok(())
     }
 
-    /// Reads the outputs. Values that are not finite are passed on, because the recipient decides how to
-    /// treat them.
     /// A model must not return behind a completed step.
     fn outputs_in_order(&self) -> bool {
         self.running.plan.completes_rows
     }
 
+    /// Reads the outputs. Values that are not finite are passed on, because the recipient decides how to
+    /// treat them.
     fn outputs(&mut self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
         if self.running.plan.outputs().needs_fmu() || self.running.buffers.reads_states {
             self.set_point(t, x)?;

@@ -38,10 +38,6 @@ pub(crate) struct ProblemRecord {
     #[schemars(with = "Option<Goal>")]
     #[serde(default)]
     objective: Value,
-    /// Several objectives of a design, for a Pareto front.
-    #[schemars(with = "Vec<Goal>")]
-    #[serde(default)]
-    objectives: Value,
     /// Combination of the objective over several scenarios.
     #[schemars(with = "Option<Combination>")]
     #[serde(default)]
@@ -269,25 +265,7 @@ impl ProblemFile {
 
     /// True if the problem has an objective.
     pub(crate) fn is_design(&self) -> bool {
-        self.value("objective").is_some() || self.value("objectives").is_some()
-    }
-
-    /// Returns the objectives of a design, with their paths.
-    fn goals(&self) -> Result<Vec<(String, Value)>, Error> {
-        match (self.value("objective"), self.value("objectives")) {
-            (Some(_), Some(_)) => {
-                Err(self.error("objectives", "specify either objective or objectives, not both"))
-            }
-            (Some(goal), None) => Ok(vec![("objective".to_owned(), goal.clone())]),
-            (None, Some(Value::List(items))) => {
-                Ok(items.iter().enumerate().map(|(k, goal)| (item("objectives", k), goal.clone())).collect())
-            }
-            (None, Some(_)) => Err(self.error(
-                "objectives",
-                "objectives: expected a list, objectives = [\"ise(y, 1)\", \"energy(u)\"]",
-            )),
-            (None, None) => Ok(Vec::new()),
-        }
+        self.value("objective").is_some()
     }
 
     /// Rejects names in a table that the library does not support.
@@ -348,8 +326,9 @@ impl ProblemFile {
             let relation = constraint.read::<Relation>("constraint");
             builder = builder.constraint(relation.map_err(|error| self.located(&path, error.into()))?);
         }
-        for (path, goal) in self.goals()? {
-            let goal = goal.read::<Goal>("objective").map_err(|error| self.located(&path, error.into()))?;
+        if let Some(goal) = self.value("objective") {
+            let goal =
+                goal.read::<Goal>("objective").map_err(|error| self.located("objective", error.into()))?;
             builder = builder.goal(goal);
         }
         if let Some(combine) = self.value("combine") {

@@ -61,6 +61,7 @@ fn mistakes_in_designs_name_their_line() {
         ("final_time = 50", "final_time = -1", "final_time = -1 must be later than the start"),
         ("objective = \"integral(x) + k**2\"\n", "", "objective is missing. Add, for example, objective = "),
         ("[[parameters]]", "combine = \"best\"\n[[parameters]]", "combine"),
+        ("objective = ", "objectives = ", "'objectives'"),
     ] {
         let error = design(&DESIGN.replacen(from, to, 1)).run("optimize design.toml").wrong_input();
         assert!(error.contains(expected), "{error}");

@@ -5,9 +5,10 @@ combines a model, measurements and `Parameter` objects, and fits without the int
 any Python function, `least_squares` minimises the sum of squares of residuals, and `pareto` minimises several criteria
 at once. `Optimizer` lets you control the run: ask for points and report their costs. `scipy_method` provides the
 methods for ``scipy.optimize.minimize``. `sensitivity` estimates the effect of each parameter of a function over its
-whole range. `Design` chooses parameters so that criteria of simulations are best. `fmin` has the signature of the paper's tool; `pydfo.dfo` provides it together
-with `quad_err` for scripts written for that tool. `pydfo.ode` integrates systems written in Python, `pydfo.fmi`
-controls an instance of an FMU call by call, and `pydfo.compat` provides the names of FMPy and PyFMI.
+whole range. `Design` chooses parameters so that criteria of simulations are best. `fmin` has the signature of the
+paper's tool; `pydfo.dfo` provides it together with `quad_err` for scripts written for that tool. `pydfo.ode` integrates
+systems written in Python, `pydfo.fmi` controls an instance of an FMU call by call, and `pydfo.compat` provides the
+names of FMPy and PyFMI.
 """
 
 from __future__ import annotations

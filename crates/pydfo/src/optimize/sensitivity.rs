@@ -38,7 +38,7 @@ pub(crate) fn method_of(
 }
 
 /// Evaluates a Python function that returns a vector at all points of a design, and estimates the effects.
-/// The arguments are those of `minimize`. `names` are the names of the parameters, and `outputs` the names of
+/// The arguments are as in `minimize`. `names` are the names of the parameters, and `outputs` the names of
 /// the values; by default, they are numbered. An interrupt or an exception carries the fields of the partial
 /// result.
 #[pyfunction]

@@ -1,8 +1,7 @@
 //! Everything that worker processes need from the operating system.
 //!
-//! The protocol, the set of workers and the serving loop use only the items below. An implementation is a
-//! module with these items. `unix` and `windows` are two; `absent` replaces them on systems without worker
-//! processes.
+//! The protocol, the set of workers and the serving loop use only the items below. The modules `unix` and
+//! `windows` implement them. `absent` replaces them on systems without worker processes.
 //!
 //! # In the process that starts workers
 //!

@@ -238,7 +238,7 @@ class Calibration(Evaluation):
         goals: Sequence[str] = (),
         combine: str = "sum",
     ) -> None:
-        """Creates the native calibration. With `goals`, it is that of a design."""
+        """Creates the native calibration. With `goals`, it evaluates a design."""
         needed = "parameters must be a list of pydfo.Parameter(name, start, lower, upper)"
         if not isinstance(parameters, (Parameter, Iterable)):
             raise TypeError(f"{needed}, not {_text.show(parameters)}")

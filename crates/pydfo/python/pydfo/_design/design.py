@@ -253,8 +253,7 @@ class Design:
     ) -> DesignResult:
         """Searches for the parameters with the best value of the (first) objective that satisfy the constraints.
 
-        Designs whose simulation fails rank behind all others. The search, its limits, checkpoints and workers are those of
-        `Calibration.fit`.
+        Designs whose simulation fails rank behind all others. Limits, checkpoints and workers act as in `Calibration.fit`.
 
         Parameters
         ----------
@@ -262,7 +261,7 @@ class Design:
             A method of `minimize`. "auto" selects one that supports the parameters and constraints, usually
             "quadratic-model".
         workers, x_tol, f_tol, stop, batch, disp, callback, start, rng, options, checkpoint, resume, limits : optional
-            As in `Calibration.fit`.
+            As in `Calibration.fit`. With a callable objective, the default is one worker, and `disp` is not available.
         search : {"local", "global"}
             With method "auto", "global" searches for the best minimum within the bounds, which must be finite.
         **given_limits
@@ -283,6 +282,8 @@ class Design:
             Invalid arguments.
         """
         if self._function:
+            if disp is not None:
+                raise BadCalibrationError("disp is not available for a callable objective; use callback")
             of_method = given_once(_options.dictionary(options), Design.optimize, x_tol=x_tol, f_tol=f_tol, stop=stop, batch=batch)
             bounds = merged(Limits, "limits", limits, given_limits)
             search_of = {"method": method, "rng": rng, "checkpoint": checkpoint, "resume": resume, "search": search, "callback": callback}

@@ -41,9 +41,9 @@ def pareto(
 ) -> ParetoFront:
     """Minimise several criteria at once, and return their Pareto front.
 
-    The method is NSGA-II (Deb, Pratap, Agarwal and Meyarivan, IEEE Trans. Evol. Comput. 6, 2002). It has no test of convergence: the run uses its whole budget. `pareto` shares the properties of
-    `minimize`: the same path for any number and kind of workers and after a resume, and exact limits. Failures are
-    counted, and failed points are never in the front.
+    The method is NSGA-II (Deb, Pratap, Agarwal and Meyarivan, IEEE Trans. Evol. Comput. 6, 2002). It has no test of
+    convergence, so the run uses its whole budget. As in `minimize`, the path is the same for any number and kind of
+    workers and after a resume, and limits are exact. Failures are counted, and failed points are never in the front.
 
     Parameters
     ----------

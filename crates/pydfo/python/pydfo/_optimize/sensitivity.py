@@ -29,7 +29,7 @@ class Sensitivity:
     """Effects of parameters on values (`sensitivity`, `Calibration.sensitivity`); printed as a table.
 
     The arrays have one row per value (`outputs`) and one column per parameter (`names`). The arrays of the other
-    method are None. Names and estimators are those of SALib.
+    method are None. SALib has the same names and estimators.
 
     Attributes
     ----------

@@ -11,6 +11,7 @@ use crate::worker::launcher::Launcher;
 use std::collections::BTreeMap;
 use std::io::{self, PipeWriter};
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
+use std::os::windows::io::OwnedHandle;
 use std::os::windows::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ExitStatus, Stdio};
@@ -173,12 +174,7 @@ impl Drop for Starter {
 
 impl Worker {
     /// Adds the process to its group, and sends it the order. Until then, it waits and starts no process.
-    fn order(
-        &self,
-        start: &Start,
-        socket: &TcpStream,
-        page: &std::os::windows::io::OwnedHandle,
-    ) -> io::Result<()> {
+    fn order(&self, start: &Start, socket: &TcpStream, page: &OwnedHandle) -> io::Result<()> {
         let mut child = locked(&self.child);
         self.job.add(&child)?;
         let socket = give_socket(socket, &child)?;
