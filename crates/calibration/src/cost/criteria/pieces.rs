@@ -49,7 +49,7 @@ static RULES: LazyLock<[Rule; 4]> = LazyLock::new(|| SIZES.map(Rule::new));
 
 impl Rule {
     fn new(n: usize) -> Self {
-        let sign = |k: usize| if k % 2 == 0 { 1.0 } else { -1.0 };
+        let sign = |k: usize| if k.is_multiple_of(2) { 1.0 } else { -1.0 };
         let weight = |k: usize| if k == 0 || k == n - 1 { 0.5 * sign(k) } else { sign(k) };
         let points: Vec<(f64, f64)> = (0..n).map(|k| (point(k, n), weight(k))).collect();
         let factors = |s: f64| -> Vec<f64> {
