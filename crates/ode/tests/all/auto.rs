@@ -39,6 +39,16 @@ fn auto_needs_about_as_many_right_hand_sides_as_the_best_method() {
     }
 }
 
+/// The largest eigenvalues have opposite signs while two bodies pass each other closely, so the motion is not
+/// stiff. BDF would damp it, and the bodies would spiral into each other.
+#[test]
+fn auto_does_not_mistake_close_encounters_for_stiffness() {
+    for rtol in [3.35e-3, 2.99e-3, 2.82e-3, 2.37e-3] {
+        let (_, stats) = nonstiff::pleiades().run(Method::Auto, rtol);
+        assert!(stats.right_hand_sides < 1500, "{rtol:e}: {stats:?}");
+    }
+}
+
 /// Radau5 would have to follow any fast oscillations that the explicit method leaves behind.
 #[test]
 fn auto_switches_to_radau5_before_exciting_stiff_oscillations() {
