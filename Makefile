@@ -8,6 +8,7 @@ SITE   := target/site-venv
 ENGINES := target/engines-venv
 WINDOWS := x86_64-pc-windows-gnu
 MINGW := CARGO_TARGET_X86_64_PC_WINDOWS_GNU_LINKER=x86_64-w64-mingw32-gcc
+WORKER_FOLDER ?= $(or $(XDG_DATA_HOME),$(HOME)/.local/share)/fmufit/windows
 WINE ?= $(or $(shell command -v wine64),/usr/lib/wine/wine64)
 # The extension module is left to the interpreter to link.
 export PYO3_BUILD_EXTENSION_MODULE := 1
@@ -22,7 +23,7 @@ endef
 # $(call develop,options): builds the Python module and installs it into .venv.
 develop = @$(BIN)/maturin develop --quiet --manifest-path crates/pydfo/Cargo.toml $(1)
 
-.PHONY: help demo test test-rust test-python test-packaging test-engines test-windows test-long lint lint-windows bench bench-dfo doc pictures build fuzz sanitize nightly clean
+.PHONY: help demo test test-rust test-python test-packaging test-engines test-windows windows-worker test-long lint lint-windows bench bench-dfo doc pictures build fuzz sanitize nightly clean
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 18
 
@@ -62,11 +63,19 @@ test-engines: $(VENV)/.tools $(ENGINES)/.done  ## fits on Dask, Ray, IPyParallel
 	@VIRTUAL_ENV=$(CURDIR)/$(ENGINES) $(BIN)/maturin develop --quiet --manifest-path crates/pydfo/Cargo.toml
 	$(call suite,engines,$(ENGINES)/bin/python -m pytest -q -rs crates/pydfo/tests/test_executors.py)
 
+windows-worker:  ## the program that runs models of Windows under Wine, into ~/.local/share; wants mingw and `rustup target add x86_64-pc-windows-gnu`
+	$(call suite,worker for Windows,$(MINGW) cargo build --quiet --profile quick --target $(WINDOWS) --package fmufit-calibration --bin fmufit-worker)
+	@mkdir -p $(WORKER_FOLDER) && cp target/$(WINDOWS)/quick/fmufit-worker.exe $(WORKER_FOLDER)
+	@x86_64-w64-mingw32-gcc -O2 -shared -o $(WORKER_FOLDER)/bcryptprimitives.dll tools/bcryptprimitives.c -ladvapi32
+	@echo "wrote $(WORKER_FOLDER)/fmufit-worker.exe"
+
 test-windows: build  ## numerics, fits and faults under Wine; wants wine64, mingw and `rustup target add x86_64-pc-windows-gnu`
 	$(call suite,windows tests,$(MINGW) CARGO_TARGET_X86_64_PC_WINDOWS_GNU_RUNNER=$(WINE) \
 		cargo test --quiet --target $(WINDOWS) --package fmufit-base --package fmufit-ode)
 	$(call suite,windows fits,$(MINGW) cargo build --quiet --target $(WINDOWS) --package fmufit-cli && \
 		WINE=$(WINE) $(BIN)/python tools/windows_check.py target/$(WINDOWS)/debug/fmufit.exe target/windows-check)
+	@$(MAKE) --no-print-directory windows-worker WORKER_FOLDER=target/windows-worker
+	$(call suite,models of Windows,FMUFIT_WINE=$(WINE) $(BIN)/python tools/wine_check.py $(BIN)/fmufit target/windows-worker/fmufit-worker.exe target/wine-check)
 
 test-long: $(VENV)/.tools build  ## what takes long: many runs, memory
 	$(call suite,long rust tests,cargo test --workspace --release --quiet -- --ignored)

@@ -68,13 +68,6 @@ FAULTS = {
 }
 DEEP = "static int deep(volatile int n) { volatile char b[4096]; b[0] = (char)n; return deep(n + 1) + b[0]; }\n"
 
-#: Wine 8.0 has no library with the random numbers that Rust programs use.
-RANDOM = """#include <windows.h>
-BOOLEAN NTAPI SystemFunction036(PVOID, ULONG);
-__declspec(dllexport) BOOL WINAPI ProcessPrng(PBYTE data, SIZE_T size) { return SystemFunction036(data, (ULONG)size); }
-"""
-
-
 def compiled(out, sources, *libraries):
     subprocess.run([COMPILER, "-O2", "-w", "-shared", "-static-libgcc", "-o", out, *sources, *libraries], check=True)
 
@@ -107,8 +100,8 @@ def main(exe, work):
         return subprocess.run([wine, exe, *arguments], cwd=work, env=environment, capture_output=True, text=True, timeout=300)
 
     if under_wine("--version").returncode:
-        (work / "random.c").write_text(RANDOM)
-        compiled(work / "wine/drive_c/windows/system32/bcryptprimitives.dll", [work / "random.c"], "-ladvapi32")
+        random = ROOT / "tools/bcryptprimitives.c"
+        compiled(work / "wine/drive_c/windows/system32/bcryptprimitives.dll", [random], "-ladvapi32")
     version = under_wine("--version")
     assert version.stdout.startswith("fmufit "), version
 

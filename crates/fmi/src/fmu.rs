@@ -12,8 +12,9 @@ use crate::libraries::{
 };
 use crate::macros::getters;
 use crate::open_options::{LogOptions, OpenOptions};
+use crate::platform::RunsBy;
 use crate::sys::{InterfaceKind, Library, LoadFrom, is_worker};
-use crate::worker::{WorkerLimits, Workers};
+use crate::worker::{WorkerLimits, Workers, check_wine};
 use crate::{platform, source};
 use base::Number;
 use serde::{Deserialize, Serialize};
@@ -25,6 +26,9 @@ const KINDS: [InterfaceKind; 2] = [InterfaceKind::ModelExchange, InterfaceKind::
 
 const LEAVES_TRACES: &str = "after the reset function, a simulation differs from one in a fresh process. Each simulation gets a new instance, \
                              which takes longer. No action is needed";
+
+/// Maximum number of characters of the reason in a warning.
+const LONGEST_REASON: usize = 200;
 
 const HIDDEN_STATE: &str = "a simulation depends on earlier ones in the same process: the model keeps a state outside of its instances. Each \
                             simulation gets a new process, which takes longer. No action is needed";
@@ -65,6 +69,7 @@ struct Inner {
     /// Subjects of messages that simulations have logged. Each subject is logged once.
     reported: Mutex<Vec<&'static str>>,
     workers: Mutex<std::sync::Weak<Workers>>,
+    needs_wine: OnceLock<bool>,
     description: ModelDescription,
     options: OpenOptions,
     archive: Arc<Archive>,
@@ -157,6 +162,7 @@ impl Fmu {
             is_to_be_repeated: AtomicBool::new(false),
             reported: Mutex::default(),
             workers: Mutex::default(),
+            needs_wine: OnceLock::new(),
             description,
             options: OpenOptions { cancel: CancelRequest::default(), ..options.clone() },
             archive: Arc::new(archive),
@@ -296,15 +302,69 @@ impl Fmu {
 
     /// Returns worker processes with these limits. Existing processes of this FMU with equal limits are
     /// shared. The processes end when their last user drops them. Returns `None` if this program cannot start
-    /// worker processes (see [`Launcher`](crate::worker::Launcher)).
-    pub fn workers(&self, limits: WorkerLimits) -> Option<Arc<Workers>> {
+    /// worker processes (see [`Launcher`](crate::worker::Launcher)). The processes run under Wine if the
+    /// model [needs](Self::needs_wine) it.
+    ///
+    /// # Errors
+    /// Returns [`FmiError::NoWine`] if the model needs Wine, and Wine or the worker program for Windows is
+    /// missing. Returns [`FmiError::NoSandbox`] if the limits request a sandbox under Wine.
+    pub fn workers(&self, limits: WorkerLimits) -> Result<Option<Arc<Workers>>> {
         let mut shared = self.inner.workers.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(workers) = shared.upgrade().filter(|workers| *workers.limits() == limits) {
-            return Some(workers);
+            return Ok(Some(workers));
         }
-        let workers = Workers::new(limits)?;
-        *shared = Arc::downgrade(&workers);
-        Some(workers)
+        let workers = match self.needs_wine() {
+            true => Some(Workers::under_wine(limits)?),
+            false => Workers::new(limits),
+        };
+        if let Some(workers) = &workers {
+            *shared = Arc::downgrade(workers);
+        }
+        Ok(workers)
+    }
+
+    /// Returns the folders with the binaries of the FMU, and `sources`, with how they run on this platform.
+    /// Files are listed only, so a library for another processor is not detected.
+    ///
+    /// # Errors
+    /// Returns [`FmiError::Absent`], or an error if a folder cannot be listed.
+    pub fn platforms(&self) -> Result<Vec<platform::Platform>> {
+        let files = self.inner.archive.file_names()?;
+        Ok(platform::platforms(
+            files.iter().map(String::as_str),
+            self.description().fmi_version.folder_names(),
+        ))
+    }
+
+    /// True if the FMU runs on this platform only under Wine: it has a library for Windows, no library for
+    /// this platform, and no sources. If it has sources, the first call compiles them; they count as absent
+    /// if that fails and the programs to run it under Wine are present.
+    pub fn needs_wine(&self) -> bool {
+        *self.inner.needs_wine.get_or_init(|| {
+            // An error is reported when the files are unpacked.
+            let platforms = self.platforms().unwrap_or_default();
+            let has = |runs_by| platforms.iter().any(|platform| platform.runs_by == runs_by);
+            if !has(RunsBy::Wine) || has(RunsBy::Loading) || !has(RunsBy::Compiling) {
+                return has(RunsBy::Wine) && !has(RunsBy::Loading);
+            }
+            let mut built =
+                self.interfaces().map(|(_, interface)| self.binary(interface, &CancelRequest::default()));
+            let failed = built.find_map(|library| match library {
+                Err(error @ (FmiError::NoCompiler { .. } | FmiError::CompileFailed { .. })) => Some(error),
+                Err(error @ FmiError::NoBinary { .. }) => Some(error),
+                _ => None,
+            });
+            let Some(error) = failed.filter(|_| check_wine().is_ok()) else { return false };
+            let text = error.to_string();
+            let start: String =
+                text.lines().next().unwrap_or_default().chars().take(LONGEST_REASON).collect();
+            let path = self.path().display();
+            log::warn!(
+                "{path}: the sources do not compile here, so the library for Windows runs under Wine. The \
+                 compiler's message begins: {start}"
+            );
+            true
+        })
     }
 
     /// Adds departures from the standard detected in a worker process. New ones are also sent to
@@ -643,6 +703,7 @@ impl Fmu {
             description,
             interface,
             &hash,
+            platform::BuildTarget::Native,
             &source::Patience { cancel, limit: self.inner.options.compile_time },
             check,
         ) {
@@ -711,7 +772,10 @@ impl Fmu {
             FmiError::NoBinary { wanted, present, .. } => FmiError::NoBinary {
                 path: self.path().to_owned(),
                 wanted,
-                present: format!("{present}; cannot build one: {no_sources}"),
+                present: match self.inner.needs_wine.get() == Some(&true) {
+                    true => format!("{present}, which runs in a worker process under Wine"),
+                    false => format!("{present}; cannot build one: {no_sources}"),
+                },
             },
             other => other,
         }

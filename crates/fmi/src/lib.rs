@@ -85,7 +85,7 @@ pub use simulation::{
     SimulateOptions, SimulationPlan, SteadyStart, Tick, Trajectory, ValueColumn,
 };
 pub use simulators::{InstanceOptions, SharedSimulator, Simulator};
-pub use source::{build_library, clear_caches, pack, pack_texts, pack_unless};
+pub use source::{build_library, clear_caches, pack, pack_for, pack_texts};
 #[cfg(target_os = "linux")]
 #[doc(hidden)]
 pub use sys::is_loaded_to_serve;

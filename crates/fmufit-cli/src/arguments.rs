@@ -104,10 +104,11 @@ pub(crate) enum Command {
             fmufit report plant.fit plant.ssv     parameters for SSP tools\n  \
             fmufit report plant.fit plant.json    all numbers")]
     Report(Report),
-    /// Compile a source-code FMU for this platform
-    #[command(after_help = "Example:\n  \
-            fmufit build plant/ plant.fmu\n\n\
-            Compiles the sources of the model with the C compiler of this machine.")]
+    /// Compile a source-code FMU for this platform, or for Windows
+    #[command(after_help = "Examples:\n  \
+            fmufit build plant/ plant.fmu\n  \
+            fmufit build plant/ plant.fmu --platform win64\n\n\
+            Compiles the sources of the model with a C compiler of this machine.")]
     Build(Build),
     /// Write the JSON schema of problem files or of a result to the standard output
     #[command(after_help = "Example:\n  \
@@ -510,6 +511,18 @@ pub(crate) struct Build {
     pub(crate) model: PathBuf,
     /// The .fmu file to write; default: named after the folder, next to it
     pub(crate) output: Option<PathBuf>,
+    /// The platform of the library
+    #[arg(long, value_name = "PLATFORM", default_value = "native")]
+    pub(crate) platform: Platform,
+}
+
+/// A platform for which sources are compiled.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Platform {
+    /// This platform; the compiler is CC, or one of cc, gcc and clang
+    Native,
+    /// Windows; the compiler is CC_x86_64_pc_windows_gnu, or x86_64-w64-mingw32-gcc
+    Win64,
 }
 
 #[derive(Debug, Args)]

@@ -533,7 +533,7 @@ pub(crate) fn workers_of(fmu: &Fmu, limits: WorkerLimits) -> Result<Arc<Workers>
     if limits.sandbox {
         check_sandbox()?;
     }
-    fmu.workers(limits).ok_or_else(|| match limits.sandbox {
+    fmu.workers(limits)?.ok_or_else(|| match limits.sandbox {
         true => FmiError::NoSandbox { reason: NO_LAUNCHER.to_owned() },
         false => FmiError::NoWorker { reason: NO_LAUNCHER.to_owned() },
     })

@@ -168,6 +168,17 @@ impl Archive {
         }
     }
 
+    /// Returns the names of all files.
+    pub(crate) fn file_names(&self) -> Result<Vec<String>> {
+        match &self.content {
+            Content::Packed(packed) => Ok(packed.file_names().map(str::to_owned).collect()),
+            Content::Absent(absent) => Err(self.missing(absent)),
+            Content::Folder(Folder { root, limits, .. }) => {
+                Ok(files_below(root, limits.entries)?.into_iter().map(|(name, _)| name).collect())
+            }
+        }
+    }
+
     /// Returns the bytes of `modelDescription.xml`.
     pub(crate) fn description(&self, limit: u64, cancel: &CancelRequest) -> Result<Vec<u8>> {
         let path = || match &self.content {

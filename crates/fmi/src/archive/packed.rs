@@ -94,6 +94,10 @@ impl Packed {
         self.entries.iter().filter(|entry| entry.repeats.is_some()).map(|entry| entry.name.as_str())
     }
 
+    pub(super) fn file_names(&self) -> impl Iterator<Item = &str> {
+        self.entries.iter().filter(|entry| !entry.is_folder).map(|entry| entry.name.as_str())
+    }
+
     pub(super) fn has_resources(&self) -> bool {
         self.entries.iter().any(|entry| entry.name.starts_with("resources/"))
     }

@@ -44,6 +44,12 @@ pub enum FmiError {
         /// Reason.
         reason: String,
     },
+    /// The model has a library for Windows only, and no program that can run it was found.
+    #[error("the model has a library for Windows only, which runs under Wine. {reason}")]
+    NoWine {
+        /// What is missing, and how to provide it.
+        reason: String,
+    },
     /// Worker processes cannot be confined, or none can be started.
     #[error("sandbox: {reason}. Run the model in a container, or without a sandbox if you trust it")]
     NoSandbox {
@@ -430,6 +436,7 @@ impl FmiError {
             self,
             FmiError::Memory { .. }
                 | FmiError::NoWorker { .. }
+                | FmiError::NoWine { .. }
                 | FmiError::NoSandbox { .. }
                 | FmiError::Io { .. }
                 | FmiError::Absent { .. }

@@ -7,7 +7,7 @@ use crate::archive::{hash_of_texts, is_inside};
 use crate::cancel_request::CancelRequest;
 use crate::description::{BUILD_DESCRIPTION, BuildSet, Interface, ModelDescription, build_sets};
 use crate::error::{FmiError, Result};
-use crate::platform::{self, BinaryHeader};
+use crate::platform::{BinaryHeader, BuildTarget};
 use base::files::read_regular;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -30,16 +30,21 @@ pub(super) struct Recipe {
     arguments: Vec<String>,
     /// Contents of a header that is included first.
     plain_names: String,
+    target: BuildTarget,
 }
 
 impl Recipe {
     /// Determines the files and options to compile.
-    pub(super) fn find(root: &Path, description: &ModelDescription, interface: &Interface) -> Result<Recipe> {
+    pub(super) fn find(
+        root: &Path,
+        description: &ModelDescription,
+        interface: &Interface,
+        target: BuildTarget,
+    ) -> Result<Recipe> {
         let folder = root.join("sources");
         let sources = Sources { folder: &folder, model_identifier: &interface.model_identifier };
         let set = sources.build_set(description, interface)?;
-        let mut arguments: Vec<String> =
-            platform::shared_library_options().iter().map(|&s| s.into()).collect();
+        let mut arguments: Vec<String> = target.options().iter().map(|&s| s.into()).collect();
         // With this macro, newer headers of the standard do not prefix names with the model identifier.
         arguments.push(format!("-D{}", description.fmi_version.plain_names_macro()));
         arguments.push("-I.".to_owned());
@@ -59,13 +64,14 @@ impl Recipe {
             }
         }
         let plain_names = plain_names(&interface.model_identifier);
-        Ok(Recipe { model_identifier: interface.model_identifier.clone(), folder, arguments, plain_names })
+        let model_identifier = interface.model_identifier.clone();
+        Ok(Recipe { model_identifier, folder, arguments, plain_names, target })
     }
 
     /// Returns a key that changes whenever the library may change.
     pub(super) fn key(&self, compiler: &Compiler, content_hash: &str) -> String {
         let identity = compiler.identity();
-        let platform = format!("{} {}", std::env::consts::OS, std::env::consts::ARCH);
+        let platform = self.target.identity();
         let fixed = [
             RECIPE_VERSION,
             content_hash,
@@ -87,18 +93,18 @@ impl Recipe {
         // Searched after all other folders, so that headers of the FMU take precedence.
         arguments.extend(["-idirafter".to_owned(), standard.to_string_lossy().into_owned()]);
         arguments.extend(["-o".to_owned(), target.to_string_lossy().into_owned()]);
-        arguments.extend(platform::system_libraries().iter().map(|&library| library.to_owned()));
+        arguments.extend(self.target.system_libraries().iter().map(|&library| library.to_owned()));
         compiler.run(&self.model_identifier, &self.folder, &arguments, patience)?;
         fs::remove_dir_all(&standard).map_err(FmiError::io("remove", &standard))?;
         fs::remove_file(&header).map_err(FmiError::io("remove", &header))?;
         match BinaryHeader::read(target).map_err(FmiError::io("read", target))? {
-            Some(header) if header.runs_here() => Ok(()),
+            Some(header) if self.target.can_load(&header) => Ok(()),
             header => Err(FmiError::CompileFailed {
                 model_identifier: self.model_identifier.clone(),
                 command: compiler.identity(),
                 status: "success".to_owned(),
                 output: match header {
-                    Some(header) => format!("the library is for {header}, not for this platform"),
+                    Some(header) => format!("the library is for {header}, not for the requested platform"),
                     None => "the output is not a library".to_owned(),
                 },
             }),
@@ -237,7 +243,8 @@ pub fn build_library(
     content_hash: &str,
 ) -> Result<PathBuf> {
     let patience = Patience { cancel: &CancelRequest::default(), limit: COMPILE_TIME };
-    build_unchanged(root, description, interface, content_hash, &patience, || Ok(()))
+    let target = BuildTarget::Native;
+    build_unchanged(root, description, interface, content_hash, target, &patience, || Ok(()))
 }
 
 /// Builds the library as [`build_library`] does. The compiler is ended when `patience` is exhausted. The
@@ -247,13 +254,14 @@ pub(crate) fn build_unchanged(
     description: &ModelDescription,
     interface: &Interface,
     content_hash: &str,
+    target: BuildTarget,
     patience: &Patience<'_>,
     check: impl FnOnce() -> Result<()>,
 ) -> Result<PathBuf> {
-    let recipe = Recipe::find(root, description, interface)?;
-    let compiler = Compiler::find(&interface.model_identifier, patience)?;
+    let recipe = Recipe::find(root, description, interface, target)?;
+    let compiler = Compiler::find(&interface.model_identifier, target, patience)?;
     let key = recipe.key(&compiler, content_hash);
-    let file_name = format!("{}.{}", interface.model_identifier, platform::LIBRARY_EXTENSION);
+    let file_name = format!("{}.{}", interface.model_identifier, target.extension());
     cache::get_or_make(cache::LIBRARIES, &key, &file_name, |target| {
         recipe.build(&compiler, target, patience)?;
         check()
@@ -288,7 +296,12 @@ mod tests {
     fn recipe(files: &[&str], listed: &[&str]) -> Result<Recipe> {
         let description = description(listed);
         let root = sources(files);
-        Recipe::find(root.path(), &description, description.model_exchange.as_ref().unwrap())
+        Recipe::find(
+            root.path(),
+            &description,
+            description.model_exchange.as_ref().unwrap(),
+            BuildTarget::Native,
+        )
     }
 
     fn compiled(files: &[&str], listed: &[&str]) -> Vec<String> {
@@ -326,8 +339,13 @@ mod tests {
         )
         .unwrap();
         let description = description(&[]);
-        let found =
-            Recipe::find(root.path(), &description, description.model_exchange.as_ref().unwrap()).unwrap();
+        let found = Recipe::find(
+            root.path(),
+            &description,
+            description.model_exchange.as_ref().unwrap(),
+            BuildTarget::Native,
+        )
+        .unwrap();
         assert!(found.arguments.ends_with(&["-I./inc".into(), "-DN=2".into(), "./a.c".into()]), "{found:?}");
     }
 
@@ -347,7 +365,12 @@ mod tests {
         let outside = tempfile::NamedTempFile::new().unwrap();
         std::os::unix::fs::symlink(outside.path(), root.path().join("sources/a.c")).unwrap();
         let description = description(&["a.c"]);
-        let result = Recipe::find(root.path(), &description, description.model_exchange.as_ref().unwrap());
+        let result = Recipe::find(
+            root.path(),
+            &description,
+            description.model_exchange.as_ref().unwrap(),
+            BuildTarget::Native,
+        );
         assert!(result.unwrap_err().to_string().contains("is a link to a path outside"));
     }
 
@@ -356,7 +379,12 @@ mod tests {
         assert!(recipe(&["a.h"], &[]).unwrap_err().to_string().contains("no C files"));
         let empty = tempfile::tempdir().unwrap();
         let description = description(&[]);
-        let result = Recipe::find(empty.path(), &description, description.model_exchange.as_ref().unwrap());
+        let result = Recipe::find(
+            empty.path(),
+            &description,
+            description.model_exchange.as_ref().unwrap(),
+            BuildTarget::Native,
+        );
         assert!(result.unwrap_err().to_string().contains("the folder \"sources\" does not exist"));
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::cancel_request::CancelRequest;
 use crate::error::{FmiError, Result};
-use crate::platform;
+use crate::platform::{self, BuildTarget};
 use crate::sys::limit_compiler;
 use std::ffi::OsStr;
 use std::fs::File;
@@ -67,21 +67,25 @@ pub(super) struct Compiler {
 }
 
 impl Compiler {
-    /// Returns the compiler in `CC` if it is set, and no other. Otherwise, returns the first of the usual
-    /// compilers that reports a version.
-    pub(super) fn find(model_identifier: &str, patience: &Patience<'_>) -> Result<Compiler> {
-        let chosen = std::env::var("CC").ok().filter(|name| !name.trim().is_empty());
+    /// Returns the compiler in the [variable](BuildTarget::variable) if it is set, and no other. Otherwise,
+    /// returns the first of the usual compilers that reports a version.
+    pub(super) fn find(
+        model_identifier: &str,
+        target: BuildTarget,
+        patience: &Patience<'_>,
+    ) -> Result<Compiler> {
+        let (variable, usual) = (target.variable(), target.compilers());
+        let chosen = std::env::var(variable).ok().filter(|name| !name.trim().is_empty());
         let found = match &chosen {
             Some(command) => Compiler::ask(command, patience)?,
             None => {
-                let mut answers =
-                    platform::C_COMPILERS.iter().map(|command| Compiler::ask(command, patience));
+                let mut answers = usual.iter().map(|command| Compiler::ask(command, patience));
                 answers.find_map(Result::transpose).transpose()?
             }
         };
         found.ok_or_else(|| FmiError::NoCompiler {
             model_identifier: model_identifier.to_owned(),
-            tried: chosen.map_or(platform::C_COMPILERS.join(", "), |command| format!("CC={command}")),
+            tried: chosen.map_or(usual.join(", "), |command| format!("{variable}={command}")),
         })
     }
 

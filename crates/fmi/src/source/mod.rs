@@ -12,4 +12,4 @@ pub(crate) use build::{COMPILE_TIME, build_unchanged};
 pub use cache::clear_caches;
 pub(crate) use compiler::Patience;
 pub(crate) use pack::write_archive;
-pub use pack::{pack, pack_texts, pack_unless};
+pub use pack::{pack, pack_for, pack_texts};

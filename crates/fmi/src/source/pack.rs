@@ -7,7 +7,7 @@ use crate::archive::{Archive, ArchiveLimits, MODEL_DESCRIPTION, check_names, fil
 use crate::cancel_request::CancelRequest;
 use crate::description::{DescriptionLimits, Interface, ModelDescription};
 use crate::error::{FmiError, Result};
-use crate::platform;
+use crate::platform::{self, BuildTarget};
 use base::files::{open_regular, read_regular};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -26,14 +26,15 @@ use zip::write::{SimpleFileOptions, ZipWriter};
 /// Returns [`FmiError::CannotPack`], and the errors of opening a folder, parsing its description and building
 /// its library.
 pub fn pack(folder: &Path, out: &Path) -> Result<()> {
-    pack_unless(folder, out, &CancelRequest::default())
+    pack_for(folder, out, BuildTarget::Native, &CancelRequest::default())
 }
 
-/// Packs a folder as [`pack`] does, unless `cancel` requests an early end. Nothing is written in that case.
+/// Packs a folder as [`pack`] does, with a library for `target`, unless `cancel` requests an early end.
+/// Nothing is written in that case.
 ///
 /// # Errors
 /// Returns the errors of [`pack`], and [`FmiError::Cancelled`].
-pub fn pack_unless(folder: &Path, out: &Path, cancel: &CancelRequest) -> Result<()> {
+pub fn pack_for(folder: &Path, out: &Path, target: BuildTarget, cancel: &CancelRequest) -> Result<()> {
     let source = Archive::open_with(folder, &ArchiveLimits::default(), cancel)?;
     let description = ModelDescription::read_with(&source, &DescriptionLimits::default(), cancel)?;
     let root = source.unpack()?;
@@ -42,8 +43,9 @@ pub fn pack_unless(folder: &Path, out: &Path, cancel: &CancelRequest) -> Result<
         if root.join("sources").is_dir() {
             let patience = Patience { cancel, limit: COMPILE_TIME };
             let hash = source.content_hash()?;
-            let library = build_unchanged(&root, &description, interface, hash, &patience, || Ok(()))?;
-            files.insert(library_name(&description, interface), library);
+            let library =
+                build_unchanged(&root, &description, interface, hash, target, &patience, || Ok(()))?;
+            files.insert(library_name(&description, interface, target), library);
         }
     }
     check_names(files.keys().map(String::as_str)).map_err(|(entry, problem)| FmiError::CannotPack {
@@ -97,10 +99,9 @@ fn distinct_interfaces(description: &ModelDescription) -> Vec<&Interface> {
     interfaces
 }
 
-fn library_name(description: &ModelDescription, interface: &Interface) -> String {
-    let folders = platform::binary_folders(description.fmi_version.folder_names());
-    let folder = folders.first().map_or("unknown", String::as_str);
-    format!("binaries/{folder}/{}.{}", interface.model_identifier, platform::LIBRARY_EXTENSION)
+fn library_name(description: &ModelDescription, interface: &Interface, target: BuildTarget) -> String {
+    let folder = target.folder(description.fmi_version.folder_names());
+    format!("binaries/{folder}/{}.{}", interface.model_identifier, target.extension())
 }
 
 /// Writes an archive of these files. Files in `replaced` have other contents. `action` and `path` are used in

@@ -15,7 +15,7 @@ use crate::error::{FmiError, Result};
 use crate::fair_lock::FairLock;
 use crate::log::LogFilter;
 use crate::macros::getters;
-use crate::platform::check_length;
+use crate::platform::{check_length, missing_libraries};
 use std::ffi::CStr;
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -124,8 +124,10 @@ impl Library {
         check_length(path)?;
         let _inside = Inside::enter(lock);
         // SAFETY: the user asked to run this FMU, which includes running its constructors.
-        let opened = unsafe { platform::open(path, options) }
-            .map_err(|error| FmiError::LoadFailed { library: path.to_owned(), message: message(&error) })?;
+        let opened = unsafe { platform::open(path, options) }.map_err(|error| FmiError::LoadFailed {
+            library: path.to_owned(),
+            message: message(&error, path),
+        })?;
         Ok(Arc::new(Handle::new(opened, Arc::clone(lock))))
     }
 
@@ -186,10 +188,15 @@ fn text_of(function: &Function<Text>) -> Option<String> {
     }
 }
 
-/// Returns the message of the loader as reported by the system.
-fn message(error: &libloading::Error) -> String {
-    match std::error::Error::source(error) {
+/// Returns the message of the loader as reported by the system, with the libraries that are missing if the
+/// system does not name them.
+fn message(error: &libloading::Error, library: &Path) -> String {
+    let message = match std::error::Error::source(error) {
         Some(source) => source.to_string(),
         None => error.to_string(),
+    };
+    match &missing_libraries(library)[..] {
+        [] => message,
+        missing => format!("{message}; not found: {}", missing.join(", ")),
     }
 }

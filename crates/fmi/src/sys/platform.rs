@@ -61,6 +61,10 @@ const DEEPBIND: Option<std::ffi::c_int> = Some(8);
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 const DEEPBIND: Option<std::ffi::c_int> = None;
 
+/// Maximum length of a path without the prefix `\\\\?\\` (`MAX_PATH` with its terminating zero is 260).
+#[cfg(not(unix))]
+const LONGEST_PATH: usize = 259;
+
 /// Checks that the loader supports the options. Otherwise, returns the unsupported option.
 pub(super) fn check(options: &LoaderOptions) -> Result<(), &'static str> {
     match options {
@@ -85,8 +89,15 @@ pub(super) unsafe fn open(path: &Path, options: &LoaderOptions) -> Result<Librar
     }
     #[cfg(not(unix))]
     {
+        use libloading::os::windows::{self, LOAD_WITH_ALTERED_SEARCH_PATH};
         let _ = options;
+        let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+        // Longer paths need a prefix, with which some libraries cannot find their own files.
+        let is_long = path.as_os_str().len() > LONGEST_PATH;
+        let path = if is_long { path.canonicalize().unwrap_or(path) } else { path };
+        // The libraries that this one needs are searched for in its own folder first.
         // SAFETY: the caller upholds the requirements of this function.
-        unsafe { Library::new(path) }
+        let library = unsafe { windows::Library::load_with_flags(path, LOAD_WITH_ALTERED_SEARCH_PATH) };
+        library.map(Library::from)
     }
 }

@@ -25,6 +25,8 @@ pub(super) struct Shared {
     n_names: AtomicU32,
     /// Cause of a failure that preceded a signal: [`NO_MEMORY`], [`REFUSED`] or 0.
     failed: AtomicU32,
+    /// Code of the exception that ended a process of Windows; 0 if there was none.
+    exception: AtomicU32,
     /// Bits of the simulated time.
     time: AtomicU64,
     names: [[AtomicU8; NAME]; NAMES],
@@ -148,6 +150,11 @@ impl Page {
         self.shared().failed.load(Ordering::Relaxed) == REFUSED
     }
 
+    /// Returns the code of the exception that ended a process of Windows.
+    pub(crate) fn exception(&self) -> Option<u32> {
+        Some(self.shared().exception.load(Ordering::Relaxed)).filter(|code| *code != 0)
+    }
+
     /// Returns the last call; `None` before the first one.
     pub(crate) fn last_call(&self) -> Option<LastCall> {
         let shared = self.shared();
@@ -237,6 +244,14 @@ pub(crate) fn note_run() {
 pub(crate) fn note_start() {
     if let Some(page) = PAGE.get() {
         page.shared().time.store(f64::NAN.to_bits(), Ordering::Relaxed);
+    }
+}
+
+/// Records the exception that ends this process.
+#[cfg(windows)]
+pub(super) fn note_exception(code: u32) {
+    if let Some(page) = PAGE.get() {
+        page.shared().exception.store(code, Ordering::Relaxed);
     }
 }
 

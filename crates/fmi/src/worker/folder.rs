@@ -1,17 +1,30 @@
 //! The folders of worker processes.
 
 use crate::platform::private_folder_builder;
+#[cfg(any(windows, target_os = "linux"))]
+use std::fs::{DirEntry, File};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::SystemTime;
 
-/// The folder of a template. It is removed when this value is dropped in the process that created it.
+/// The folder of a template or of a starter. It is removed when this value is dropped in the process that
+/// created it.
 #[derive(Debug)]
 pub(super) struct Folder {
     path: PathBuf,
     owner: u32,
+    /// Locked by the process that owns the folder, until its end.
+    #[cfg(any(windows, target_os = "linux"))]
+    lock: Option<File>,
 }
+
+/// Beginning of the names of all folders.
+const PREFIX: &str = "fmufit-worker-";
+
+/// File in the folder of a starter that its owner has locked.
+#[cfg(any(windows, target_os = "linux"))]
+const LOCK: &str = "owner";
 
 /// Number of folders that this process has created.
 static N_MADE: AtomicU32 = AtomicU32::new(0);
@@ -21,11 +34,28 @@ impl Folder {
     pub(super) fn new() -> std::io::Result<Self> {
         let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
         let (owner, n) = (std::process::id(), N_MADE.fetch_add(1, Ordering::Relaxed));
-        let name = format!("fmufit-worker-{owner}-{n}-{:x}", since.as_nanos());
+        let name = format!("{PREFIX}{owner}-{n}-{:x}", since.as_nanos());
         let path = std::env::temp_dir().join(name);
         let path = worker_folder(&std::path::absolute(&path).unwrap_or(path), 0);
         make(&path)?;
-        Ok(Self { path, owner })
+        Ok(Self {
+            path,
+            owner,
+            #[cfg(any(windows, target_os = "linux"))]
+            lock: None,
+        })
+    }
+
+    /// Creates a folder, and removes those of starters whose process was killed, with the folders of their
+    /// workers. No other process removes them.
+    #[cfg(any(windows, target_os = "linux"))]
+    pub(super) fn of_starter() -> std::io::Result<Self> {
+        remove_abandoned(&std::env::temp_dir());
+        let mut folder = Self::new()?;
+        let lock = File::create_new(folder.path.join(LOCK))?;
+        lock.lock()?;
+        folder.lock = Some(lock);
+        Ok(folder)
     }
 
     pub(super) fn path(&self) -> &Path {
@@ -36,6 +66,9 @@ impl Folder {
 impl Drop for Folder {
     fn drop(&mut self) {
         if self.owner == std::process::id() {
+            // Windows does not remove open files.
+            #[cfg(any(windows, target_os = "linux"))]
+            drop(self.lock.take());
             remove(&self.path);
         }
     }
@@ -45,6 +78,25 @@ impl Drop for Folder {
 /// same length.
 pub(super) fn worker_folder(template: &Path, number: u32) -> PathBuf {
     template.with_extension(format!("{number:010}"))
+}
+
+/// Removes the folders of starters whose process has ended, and the folders of their workers. The lock of a
+/// file ends with the process that has it, also if that process cannot be seen from here.
+#[cfg(any(windows, target_os = "linux"))]
+fn remove_abandoned(temporary: &Path) {
+    let listed = std::fs::read_dir(temporary).into_iter().flatten().flatten();
+    let is_folder = |entry: &DirEntry| entry.file_type().is_ok_and(|kind| kind.is_dir());
+    let is_ours = |entry: &DirEntry| entry.file_name().as_encoded_bytes().starts_with(PREFIX.as_bytes());
+    let folders: Vec<PathBuf> = listed.filter(is_ours).filter(is_folder).map(|entry| entry.path()).collect();
+    for starter in folders.iter().filter(|path| **path == worker_folder(path, 0)) {
+        // An incomplete folder of another process has no such file yet.
+        let Ok(lock) = File::options().write(true).open(starter.join(LOCK)) else { continue };
+        if lock.try_lock().is_ok() {
+            drop(lock);
+            let is_of_starter = |path: &&PathBuf| path.file_stem() == starter.file_stem();
+            folders.iter().filter(is_of_starter).for_each(|path| remove(path));
+        }
+    }
 }
 
 /// Creates a folder that only this user can access. The error contains its path.
@@ -65,5 +117,33 @@ pub(super) fn remove(folder: &Path) {
             _ => return,
         }
         std::thread::sleep(std::time::Duration::from_millis(2));
+    }
+}
+
+#[cfg(test)]
+#[cfg(any(windows, target_os = "linux"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn folders_of_ended_starters_are_removed() {
+        let temporary = tempfile::tempdir().unwrap();
+        let starter = |name: &str| worker_folder(&temporary.path().join(format!("{PREFIX}{name}")), 0);
+        let (ended, running, incomplete) = (starter("1-0-a"), starter("2-0-b"), starter("3-0-c"));
+        let other = temporary.path().join("other.0000000000");
+        for folder in
+            [&ended, &worker_folder(&ended, 1), &running, &worker_folder(&running, 1), &incomplete, &other]
+        {
+            make(folder).unwrap();
+        }
+        for folder in [&ended, &other] {
+            File::create_new(folder.join(LOCK)).unwrap();
+        }
+        let lock = File::create_new(running.join(LOCK)).unwrap();
+        lock.lock().unwrap();
+        remove_abandoned(temporary.path());
+        assert!(!ended.exists() && !worker_folder(&ended, 1).exists());
+        assert!(running.exists() && worker_folder(&running, 1).exists());
+        assert!(incomplete.exists() && other.exists());
     }
 }

@@ -18,6 +18,8 @@ pub struct Launcher {
     /// A library with [`serve_before_main`](crate::serve_before_main), to be preloaded. The start of the
     /// program itself is then skipped.
     pub preload: Option<PathBuf>,
+    /// Wine, which runs `program`, a Windows program.
+    pub(super) wine: Option<PathBuf>,
 }
 
 static CURRENT: Mutex<Option<Launcher>> = Mutex::new(None);
@@ -25,7 +27,14 @@ static CURRENT: Mutex<Option<Launcher>> = Mutex::new(None);
 impl Launcher {
     /// Creates a launcher for a program without arguments.
     pub fn of(program: impl Into<PathBuf>) -> Self {
-        Self { program: program.into(), arguments: Vec::new(), preload: None }
+        Self { program: program.into(), arguments: Vec::new(), preload: None, wine: None }
+    }
+
+    /// Adds arguments of the program.
+    #[must_use]
+    pub fn with_arguments(mut self, arguments: impl IntoIterator<Item = OsString>) -> Self {
+        self.arguments.extend(arguments);
+        self
     }
 
     /// Preloads a library if possible. This requires Linux and the program of this process, which satisfies
@@ -56,7 +65,8 @@ impl Launcher {
 
     /// Returns the command that starts the program to serve.
     pub(super) fn command(&self) -> Command {
-        let mut command = Command::new(&self.program);
+        let mut command = Command::new(self.wine.as_ref().unwrap_or(&self.program));
+        command.args(self.wine.as_ref().map(|_| &self.program));
         command.args(&self.arguments).env(WORKER_VARIABLE, VERSION).env(LEVEL, log::max_level().as_str());
         if let Some(library) = &self.preload {
             let before = std::env::var_os(PRELOAD).unwrap_or_default();

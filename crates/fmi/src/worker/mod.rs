@@ -13,6 +13,7 @@
 //! `platform` contains all code that depends on the operating system.
 
 mod ahead;
+mod exceptions;
 mod folder;
 mod frame;
 mod handshake;
@@ -26,6 +27,7 @@ mod platform;
 mod printed;
 mod service;
 mod surroundings;
+mod wine_launcher;
 mod worker_main;
 mod worker_process;
 mod workers;
@@ -40,5 +42,6 @@ pub use limits::{AnswerLimits, WorkerLimits};
 pub use load::Load;
 pub use platform::check_sandbox;
 pub use service::Service;
+pub use wine_launcher::check_wine;
 pub use worker_main::serve_if_worker;
 pub use workers::{Held, PinnedProcess, Workers};

@@ -1,12 +1,13 @@
 //! A worker process, as seen by its parent process.
 
+use super::exceptions;
 use super::frame::{Frame, FrameSize, PatientWriter, decode};
 use super::handshake::{Arrival, Hello, Start, no_worker};
 use super::input_function::answer_request;
 use super::isolation::Question;
 use super::load::LoadId;
 use super::notes::Notes;
-use super::platform::{Channel, ProcessHandle, Starter};
+use super::platform::{Connection, ProcessHandle, Starter};
 use super::printed::Printed;
 use crate::description::Quirk;
 use crate::error::{EndKind, FmiError, WorkerEnd};
@@ -59,7 +60,7 @@ pub(super) struct Process {
     _place: Place,
     /// Functions that the worker does not call.
     pub(super) avoided_calls: Vec<String>,
-    pub(super) channel: BufReader<Channel>,
+    pub(super) channel: BufReader<Connection>,
     page: Page,
     printed: Printed,
     buffer: Vec<u8>,
@@ -249,7 +250,7 @@ impl Process {
             (EndKind::Died, Some(end)) if self.page.is_without_memory() => {
                 format!("{end} after an allocation beyond the memory limit of {} bytes", self.most_memory)
             }
-            (EndKind::Died, Some(end)) => end,
+            (EndKind::Died, Some(end)) => self.page.exception().map_or(end, exceptions::in_words),
             (EndKind::Died, None) => self.handle.unknown_end(),
         };
         let hint = self.page.is_refused().then(|| REFUSED.to_owned());

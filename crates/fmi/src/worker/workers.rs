@@ -10,6 +10,7 @@ use super::limits::{AnswerLimits, WorkerLimits};
 use super::load::{Load, LoadId};
 use super::platform::{HAS_WORKERS, Starter};
 use super::surroundings::Surroundings;
+use super::wine_launcher::wine_launcher;
 use super::worker_process::{NoAnswer, Places, Process};
 use crate::description::{Quirk, QuirkKind};
 use crate::error::{EndKind, FmiError, ReportedError, ReportedErrorKind};
@@ -171,14 +172,25 @@ impl Workers {
     /// Creates a set without starting any process. Returns `None` if this program cannot start workers (see
     /// [`Launcher`]).
     pub fn new(limits: WorkerLimits) -> Option<Arc<Self>> {
-        let launcher = Launcher::current().filter(|_| HAS_WORKERS)?;
-        Some(Arc::new(Self {
-            launcher,
-            limits,
-            idle: Mutex::default(),
-            reported: Mutex::default(),
-            places: Places::default(),
-        }))
+        Launcher::current().filter(|_| HAS_WORKERS).map(|launcher| Self::of(launcher, limits))
+    }
+
+    /// Creates a set for models of Windows, whose workers run under Wine, without starting any process.
+    ///
+    /// # Errors
+    /// Returns [`FmiError::NoWine`] if Wine or the worker program for Windows is missing, and
+    /// [`FmiError::NoSandbox`] if the limits request a sandbox.
+    pub fn under_wine(limits: WorkerLimits) -> Result<Arc<Self>, FmiError> {
+        if limits.sandbox {
+            let reason = "models of Windows, which run under Wine, cannot be confined".to_owned();
+            return Err(FmiError::NoSandbox { reason });
+        }
+        Ok(Self::of(wine_launcher()?, limits))
+    }
+
+    fn of(launcher: Launcher, limits: WorkerLimits) -> Arc<Self> {
+        let (idle, reported) = (Mutex::default(), Mutex::default());
+        Arc::new(Self { launcher, limits, idle, reported, places: Places::default() })
     }
 
     /// Returns the limits.

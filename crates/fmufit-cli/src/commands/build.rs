@@ -1,13 +1,14 @@
-//! `fmufit build`: compiles a source-code FMU for this platform.
+//! `fmufit build`: compiles a source-code FMU.
 
-use crate::arguments::Build;
+use crate::arguments::{Build, Platform};
 use crate::console::Console;
 use crate::error::{Error, Exit};
 use crate::interrupt::Interrupt;
+use fmi::platform::BuildTarget;
 use fmi::{CancelRequest, FmiError};
 
 pub(crate) fn run(arguments: &Build, console: &Console) -> Result<Exit, Error> {
-    let Build { model, output } = arguments;
+    let Build { model, output, platform } = arguments;
     let output = match output {
         Some(output) => output.clone(),
         None if model.is_dir() => {
@@ -30,7 +31,11 @@ pub(crate) fn run(arguments: &Build, console: &Console) -> Result<Exit, Error> {
         )));
     }
     let interrupt = Interrupt::watch()?;
-    let built = fmi::pack_unless(model, &output, &CancelRequest::when(interrupt.flag()));
+    let target = match platform {
+        Platform::Native => BuildTarget::Native,
+        Platform::Win64 => BuildTarget::Win64,
+    };
+    let built = fmi::pack_for(model, &output, target, &CancelRequest::when(interrupt.flag()));
     match built {
         Ok(()) => {
             console.result(&format!("wrote {}", output.display()));

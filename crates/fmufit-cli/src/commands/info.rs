@@ -6,6 +6,8 @@ use crate::error::{Error, Exit};
 use base::Number;
 use calibration::visible_line;
 use fmi::description::{Causality, Interface};
+use fmi::platform::{Platform, RunsBy};
+use fmi::worker::check_wine;
 use fmi::{Fmu, ModelDescription, Value, Variable};
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -93,8 +95,20 @@ fn header(fmu: &Fmu) -> String {
     let facts =
         facts.iter().filter_map(|(name, value, unit)| value.map(|v| format!("{name} {}{unit}", Number(v))));
     lines.push(facts.collect::<Vec<_>>().join(", "));
+    lines.extend(platform_lines(fmu));
     lines.retain(|line| !line.is_empty());
     lines.iter().map(|line| visible_line(line)).collect::<Vec<_>>().join("\n")
+}
+
+/// Returns the platforms for which there are binaries, and what is missing if none of them runs here.
+fn platform_lines(fmu: &Fmu) -> Vec<String> {
+    let platforms = fmu.platforms().unwrap_or_default();
+    let shown: Vec<String> =
+        platforms.iter().map(|platform| format!("{} ({})", platform.name, platform.runs_by)).collect();
+    let has = |runs_by| platforms.iter().any(|platform| platform.runs_by == runs_by);
+    let is_native = has(RunsBy::Loading) || has(RunsBy::Compiling);
+    let missing = (has(RunsBy::Wine) && !is_native).then(check_wine).and_then(Result::err);
+    [shown.join(", ")].into_iter().chain(missing.map(|error| format!("warning: {error}"))).collect()
 }
 
 fn interfaces(description: &ModelDescription) -> Vec<(&'static str, &Interface)> {
@@ -119,10 +133,23 @@ pub(super) struct Document<'m> {
     generation_date_and_time: Option<&'m str>,
     /// Interfaces: `model exchange`, `co-simulation`.
     interfaces: Vec<&'static str>,
+    /// Folders with binaries, and `sources`.
+    platforms: Vec<PlatformFields>,
     default_experiment: Experiment,
     variables: Vec<VariableFields<'m>>,
     /// Violations of the FMI standard.
     quirks: Vec<String>,
+}
+
+/// A platform for which the model has a library or sources.
+#[derive(Serialize, JsonSchema)]
+#[schemars(rename = "Platform")]
+struct PlatformFields {
+    /// Name of the folder, for example `linux64` or `x86_64-windows`; `sources` for source code.
+    name: String,
+    /// How it runs on this machine: `runs here`, `compiled here`, `runs here under Wine`, `does not run
+    /// here`.
+    runs_by: &'static str,
 }
 
 /// Default experiment of a model; times in s.
@@ -182,6 +209,8 @@ fn document<'m>(fmu: &'m Fmu, variables: &[&'m Variable]) -> Document<'m> {
         is_array: !variable.dimensions.is_empty(),
         description: variable.description.as_deref(),
     };
+    let platform =
+        |platform: Platform| PlatformFields { name: platform.name, runs_by: platform.runs_by.name() };
     let experiment = &description.default_experiment;
     Document {
         path: fmu.path().display().to_string(),
@@ -191,6 +220,7 @@ fn document<'m>(fmu: &'m Fmu, variables: &[&'m Variable]) -> Document<'m> {
         generation_tool: description.generation_tool.as_deref(),
         generation_date_and_time: description.generation_date_and_time.as_deref(),
         interfaces: interfaces(description).iter().map(|(name, _)| *name).collect(),
+        platforms: fmu.platforms().unwrap_or_default().into_iter().map(platform).collect(),
         default_experiment: Experiment {
             start_time: experiment.start_time,
             stop_time: experiment.stop_time,

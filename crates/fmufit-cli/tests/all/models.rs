@@ -40,6 +40,52 @@ fn info_shows_variables_with_causality_unit_and_start() {
     assert!(variables.iter().any(|v| v["causality"] == "local"));
 }
 
+/// Writes a model whose library is for Windows, in which only the programs to run it matter.
+#[cfg(target_os = "linux")]
+fn write_windows_model(folder: &Folder) {
+    let mut archive = zip::ZipWriter::new(std::fs::File::create(folder.path("windows.fmu")).unwrap());
+    let description = "<fmiModelDescription fmiVersion=\"2.0\" modelName=\"m\" guid=\"g\"><ModelExchange \
+                       modelIdentifier=\"m\"/><DefaultExperiment stopTime=\"1\"/><ModelVariables/><ModelStructure/>\
+                       </fmiModelDescription>";
+    for (name, content) in [("modelDescription.xml", description), ("binaries/win64/m.dll", "MZ")] {
+        archive.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
+        std::io::Write::write_all(&mut archive, content.as_bytes()).unwrap();
+    }
+    archive.finish().unwrap();
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn model_for_windows_reports_the_missing_program() {
+    let folder = Folder::new();
+    write_windows_model(&folder);
+    folder.write("program", "");
+    let missing = |variables: &[(&str, &str)]| {
+        let mut command = folder.command("simulate windows.fmu --outputs time");
+        command.env("XDG_DATA_HOME", folder.path("data")).envs(variables.iter().copied());
+        let output = command.output().unwrap();
+        assert!(!output.status.success());
+        String::from_utf8(output.stderr).unwrap()
+    };
+    let program = folder.path("program").display().to_string();
+    let message = missing(&[("FMUFIT_WINE", "/no/wine")]);
+    assert!(
+        message.contains("a library for Windows only") && message.contains("FMUFIT_WINE = /no/wine"),
+        "{message}"
+    );
+    let message = missing(&[("FMUFIT_WINE", &program)]);
+    assert!(message.contains("data/fmufit/windows/fmufit-worker.exe, was not found"), "{message}");
+    assert!(message.contains("make windows-worker"), "{message}");
+    // A program that cannot be started.
+    let message = missing(&[("FMUFIT_WINE", &program), ("FMUFIT_WINDOWS_WORKER", &program)]);
+    assert!(message.contains("cannot start a worker process") && message.contains(&program), "{message}");
+    // A program that ends at once.
+    let message = missing(&[("FMUFIT_WINE", "/bin/false"), ("FMUFIT_WINDOWS_WORKER", &program)]);
+    assert!(message.contains("cannot start a worker process"), "{message}");
+    let text = folder.run("info windows.fmu").good();
+    assert!(text.contains("win64 (runs here under Wine)"), "{text}");
+}
+
 #[test]
 fn validate_runs_a_model_and_reports_violations() {
     let folder = Folder::with_model("dahlquist");

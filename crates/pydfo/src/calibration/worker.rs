@@ -13,7 +13,7 @@ fmi::serve_before_main!(calibration::serve_if_worker);
 /// `library`: the file of this module.
 #[pyfunction]
 pub(crate) fn set_launcher(program: PathBuf, arguments: Vec<OsString>, library: PathBuf) {
-    Launcher { program, arguments, preload: None }.preloading(library).set();
+    Launcher::of(program).with_arguments(arguments).preloading(library).set();
 }
 
 /// The program of the worker processes, started before it is needed. It ends when this object is dropped,

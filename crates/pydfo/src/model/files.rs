@@ -4,6 +4,7 @@ use crate::convert::fmu_error;
 use crate::interrupt::interrupt_guard::InterruptGuard;
 use crate::interrupt::logs;
 use example_models::ExampleKind;
+use fmi::platform::BuildTarget;
 use fmi::{CancelRequest, FmiError, FmuCache, OpenOptions};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -48,8 +49,9 @@ pub(crate) fn close_unused(py: Python<'_>) {
 
 /// Packs a folder into an FMU.
 #[pyfunction]
-pub(crate) fn build_fmu(py: Python<'_>, folder: PathBuf, out: PathBuf) -> PyResult<()> {
-    let done = watched(py, move |cancel| fmi::pack_unless(&folder, &out, &cancel))?;
+pub(crate) fn build_fmu(py: Python<'_>, folder: PathBuf, out: PathBuf, platform: &str) -> PyResult<()> {
+    let target = platform.parse::<BuildTarget>().map_err(|error| fmu_error::raise(py, &error))?;
+    let done = watched(py, move |cancel| fmi::pack_for(&folder, &out, target, &cancel))?;
     logs::pass_on(py)?;
     done.map_err(|e| fmu_error::raise(py, &e))
 }

@@ -99,8 +99,9 @@ impl SimulationPlan {
         let description = fmu.description();
         // A missing binary is reported before a missing final time.
         let grid = options.grid(&description.default_experiment).map_err(|error| {
-            match fmu.binary(interface, &CancelRequest::default()) {
-                Err(no_binary @ FmiError::NoBinary { .. }) => no_binary,
+            let is_missing = !fmu.needs_wine();
+            match is_missing.then(|| fmu.binary(interface, &CancelRequest::default())) {
+                Some(Err(no_binary @ FmiError::NoBinary { .. })) => no_binary,
                 _ => error,
             }
         })?;

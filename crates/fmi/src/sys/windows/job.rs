@@ -9,6 +9,7 @@ use windows_sys::Win32::System::JobObjects::{
     JOBOBJECT_EXTENDED_LIMIT_INFORMATION, JobObjectExtendedLimitInformation, SetInformationJobObject,
     TerminateJobObject,
 };
+use windows_sys::Win32::System::Threading::GetCurrentProcess;
 
 /// A process and all processes that it starts. They end when this value is dropped, and when this process
 /// ends in any way.
@@ -49,6 +50,13 @@ impl Job {
     pub(crate) fn add(&self, child: &Child) -> io::Result<()> {
         // SAFETY: both handles are open.
         let is_added = unsafe { AssignProcessToJobObject(self.0.as_raw_handle(), child.as_raw_handle()) };
+        if is_added == 0 { Err(io::Error::last_os_error()) } else { Ok(()) }
+    }
+
+    /// Adds this process and all processes that it will start.
+    pub(crate) fn add_this_process(&self) -> io::Result<()> {
+        // SAFETY: the first handle is open, and the second one always refers to this process.
+        let is_added = unsafe { AssignProcessToJobObject(self.0.as_raw_handle(), GetCurrentProcess()) };
         if is_added == 0 { Err(io::Error::last_os_error()) } else { Ok(()) }
     }
 

@@ -6,5 +6,6 @@ mod process;
 
 pub(crate) use job::Job;
 pub(crate) use process::{
-    end_on_errors, forget_variable, give_handle, give_socket, memory_of, take_handle, take_socket,
+    end_on_errors, forget_variable, give_handle, give_socket, memory_of, set_variable, take_handle,
+    take_socket,
 };

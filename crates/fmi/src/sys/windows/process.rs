@@ -1,8 +1,10 @@
 //! Handles and sockets that a process passes to its child, and settings of a process.
 
+use crate::sys::shared_page::note_exception;
 use std::io;
 use std::net::TcpStream;
 use std::os::windows::io::{AsRawHandle, AsRawSocket, FromRawHandle, FromRawSocket, OwnedHandle};
+use std::path::Path;
 use std::process::Child;
 use windows_sys::Win32::Foundation::{DUPLICATE_SAME_ACCESS, DuplicateHandle, HANDLE};
 use windows_sys::Win32::Networking::WinSock::{
@@ -88,13 +90,24 @@ pub(crate) fn memory_of(child: &Child) -> Option<u64> {
 
 /// Makes errors end this process at once, without a window or a debugger. The exit code is the exception.
 pub(crate) fn end_on_errors() {
-    unsafe extern "system" fn end(_: *const EXCEPTION_POINTERS) -> i32 {
+    unsafe extern "system" fn end(pointers: *const EXCEPTION_POINTERS) -> i32 {
+        // SAFETY: the system calls a filter with pointers to structures that exist during the call.
+        let code = unsafe { pointers.as_ref().and_then(|found| found.ExceptionRecord.as_ref()) };
+        if let Some(record) = code {
+            note_exception(record.ExceptionCode.cast_unsigned());
+        }
         EXCEPTION_EXECUTE_HANDLER
     }
     // SAFETY: the argument is a number.
     unsafe { SetErrorMode(SEM_FAILCRITICALERRORS | SEM_NOGPFAULTERRORBOX | SEM_NOOPENFILEERRORBOX) };
     // SAFETY: the filter uses no memory and little stack, whatever the exception was.
     unsafe { SetUnhandledExceptionFilter(Some(end)) };
+}
+
+/// Sets an environment variable of this process, which has one thread.
+pub(crate) fn set_variable(name: &str, value: &Path) {
+    // SAFETY: no other thread can read the environment.
+    unsafe { std::env::set_var(name, value) };
 }
 
 /// Removes an environment variable of this process, which has one thread.

@@ -14,6 +14,7 @@ pub(in crate::worker) const HAS_WORKERS: bool = false;
 
 /// Has the required functions. No value is created.
 pub(in crate::worker) type Channel = std::net::TcpStream;
+pub(in crate::worker) type Connection = Channel;
 
 const REASON: &str = "worker processes are not supported on this system";
 

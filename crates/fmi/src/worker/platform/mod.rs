@@ -16,8 +16,8 @@
 //!     loaded it receive it as a request. Called at most once, before the first worker is started.
 //!   - `is_broken()`: true if it cannot start workers any more and must be replaced.
 //!   - `start_worker(order, printed)` (of an `Arc`) starts a worker without waiting for it. Returns its
-//!     `ProcessHandle`, its `Channel` and the [`Page`](crate::sys::Page). The worker runs the program of the
-//!     starter, which calls `await_order`. Its standard output and error go to the pipe `printed`, its
+//!     `ProcessHandle`, its `Connection` and the [`Page`](crate::sys::Page). The worker runs the program of
+//!     the starter, which calls `await_order`. Its standard output and error go to the pipe `printed`, its
 //!     standard input is empty, and Ctrl-C in a terminal does not reach it. It inherits nothing else. It
 //!     ends, with all processes that it has started, when this process ends in any way.
 //!   - `end()` ends it with all its workers, their processes and their folders. Later calls of
@@ -35,14 +35,14 @@
 //!   - `unknown_end()` explains why `kill` returned `None`.
 //!   - `not_started(reason)` returns the error for a worker that did not arrive. It contains the path of the
 //!     program and, if the program has ended, its last output or the way it ended.
-//! - `Channel`: a connection in both directions, for bytes. It has these functions of
-//!   [`TcpStream`](std::net::TcpStream): `Read` and `Write`, also for `&Channel`; `try_clone`;
-//!   `set_read_timeout` and `set_write_timeout`. After this time, reading and writing return `WouldBlock` or
-//!   `TimedOut`, and may be repeated. A read returns 0 bytes, and a write returns `BrokenPipe`, if the other
-//!   end is closed.
+//! - `Connection`: the caller's end of a connection in both directions, for bytes. It has these functions of
+//!   [`TcpStream`](std::net::TcpStream): `Read`, and `Write` for `&Connection`; `set_read_timeout` and
+//!   `set_write_timeout`. After this time, reading and writing return `WouldBlock` or `TimedOut`, and may be
+//!   repeated. A read returns 0 bytes, and a write returns `BrokenPipe`, if the other end is closed.
 //!
 //! # In the process that serves
 //!
+//! - `Channel`: the worker's end of the connection. `Read` and `Write` for `&Channel`; `try_clone`.
 //! - `await_order(load)` is called first, while the process has one thread and has run no foreign code.
 //!   Returns the worker ([`Assigned`](super::handshake::Assigned)) in each process that becomes one, and
 //!   `None` in any other process, when it is not needed any more. A process that passes its state on to
@@ -65,10 +65,19 @@
 //! # Without `fork`
 //!
 //! Windows has no `fork`, and needs no template: `Starter::load` does nothing, and `start_worker` starts
-//! [`Launcher::command`](super::launcher::Launcher::command) in a group that can be ended as a whole.
+//! [`Launcher::command`](super::launcher::Launcher::command) in a group that can be ended as a whole
+//! (`separate`).
+//!
+//! # Wine
+//!
+//! On Linux, a launcher with the field `wine` starts a Windows program under Wine, also without a template.
 
 #[cfg(not(any(unix, windows)))]
 mod absent;
+#[cfg(target_os = "linux")]
+mod linux;
+#[cfg(any(windows, target_os = "linux"))]
+mod order;
 #[cfg_attr(
     not(all(
         target_os = "linux",
@@ -78,20 +87,28 @@ mod absent;
     path = "no_sandbox.rs"
 )]
 mod sandbox;
+#[cfg(any(windows, target_os = "linux"))]
+mod separate;
 #[cfg(unix)]
 mod unix;
 #[cfg(windows)]
 mod windows;
+#[cfg(target_os = "linux")]
+mod wine;
 
 #[cfg(not(any(unix, windows)))]
 use absent as system;
-#[cfg(unix)]
+#[cfg(target_os = "linux")]
+use linux as system;
+#[cfg(all(unix, not(target_os = "linux")))]
 use unix as system;
 #[cfg(windows)]
 use windows as system;
 
 pub use sandbox::check_sandbox;
 pub(super) use sandbox::confine_self;
-pub(super) use system::{
-    Channel, HAS_WORKERS, ProcessHandle, Starter, await_order, limit_self, wait_until_closed,
-};
+#[cfg(windows)]
+pub(super) use separate::{ProcessHandle, Starter};
+pub(super) use system::{Channel, Connection, HAS_WORKERS, await_order, limit_self, wait_until_closed};
+#[cfg(not(windows))]
+pub(super) use system::{ProcessHandle, Starter};

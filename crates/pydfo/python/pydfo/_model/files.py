@@ -43,17 +43,19 @@ def size_limit(name: str, value: int | None) -> int | None:
     return number
 
 
-def build_fmu(folder: PathLike, out: PathLike) -> Path:
+def build_fmu(folder: PathLike, out: PathLike, *, platform: str = "native") -> Path:
     """Packs a folder into an FMU.
 
     Parameters
     ----------
     folder : path
         A folder with ``modelDescription.xml`` at its root. For an FMU to be built, it also contains ``sources/``. A
-        library for this platform is compiled from the sources (``CC``, otherwise ``cc``, ``gcc`` or ``clang``) and
-        packed with them.
+        library is compiled from the sources and packed with them.
     out : path
         The file to write. An existing file is replaced.
+    platform : {'native', 'win64'}, optional
+        The platform of the library: this one (compiler ``CC``, otherwise ``cc``, ``gcc`` or ``clang``), or Windows
+        (compiler ``CC_x86_64_pc_windows_gnu``, otherwise ``x86_64-w64-mingw32-gcc``).
 
     Returns
     -------
@@ -69,7 +71,7 @@ def build_fmu(folder: PathLike, out: PathLike) -> Path:
     Interrupted
         Ctrl-C was pressed; a KeyboardInterrupt. The compiler is ended, and nothing is written.
     """
-    _core.build_fmu(_values.path("folder", folder), _values.path("out", out))
+    _core.build_fmu(_values.path("folder", folder), _values.path("out", out), platform)
     return Path(out)
 
 

@@ -39,7 +39,7 @@ impl ProcessEnd {
 }
 
 /// Describes how a process ended.
-pub(super) fn in_words(status: ExitStatus) -> String {
+pub(in crate::worker) fn in_words(status: ExitStatus) -> String {
     let signal = status.signal();
     match (signal, status.code()) {
         (Some(libc::SIGSEGV), _) => "segmentation fault".to_owned(),

@@ -19,7 +19,7 @@ pub(in crate::worker) struct ProcessHandle {
     /// Number of the worker among the workers of its template.
     number: u32,
     /// Process id; `None` before the worker has arrived.
-    pid: Option<Pid>,
+    pub(in crate::worker) pid: Option<Pid>,
     end: ProcessEnd,
 }
 
@@ -53,10 +53,7 @@ impl ProcessHandle {
     }
 
     pub(in crate::worker) fn memory(&self) -> Option<u64> {
-        let pid = self.pid?.as_raw_nonzero();
-        let text = std::fs::read_to_string(format!("/proc/{pid}/statm")).ok()?;
-        let pages: u64 = text.split(' ').nth(1)?.parse().ok()?;
-        Some(pages * rustix::param::page_size() as u64)
+        memory_of_process(self.pid?.as_raw_nonzero().get().cast_unsigned())
     }
 
     pub(in crate::worker) fn kill(&self) -> Option<String> {
@@ -88,42 +85,9 @@ impl ProcessHandle {
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::worker::frame::Frame;
-    use crate::worker::handshake::Arrival;
-    use crate::worker::launcher::Launcher;
-    use crate::worker::limits::WorkerLimits;
-    use crate::worker::load::Load;
-    use crate::worker::surroundings::Surroundings;
-    use crate::worker::worker_process::{Places, Process};
-    use base::RunContext;
-    use std::io::BufReader;
-
-    #[test]
-    fn worker_must_be_child_of_template() {
-        let template = Arc::new(Starter::start(&Launcher::of("/bin/cat")).unwrap());
-        let place = Places::default().take();
-        let start = Start {
-            limits: WorkerLimits::default(),
-            level: log::max_level(),
-            is_prepared: false,
-            surroundings: Surroundings::present(),
-            avoided_calls: Vec::new(),
-            place: place.number,
-        };
-        let load = Load::new(|| Ok(Frame::default()));
-        let mut process = Process::begin(&template, load.id, start, place).unwrap();
-        let context = RunContext::new();
-        for id in [u32::MAX, 0, i32::MIN.cast_unsigned(), 1, std::process::id()] {
-            let (socket, theirs) = UnixStream::pair().unwrap();
-            process.channel = BufReader::new(socket);
-            Frame::of(&Arrival { id }).unwrap().write(0, &mut &theirs, &mut Vec::new()).unwrap();
-            let error = process.arrive(&context, Duration::from_secs(10)).unwrap_err().to_string();
-            assert!(error.contains("its process is not a child of that program"), "{id}: {error}");
-            assert_eq!(process.handle.pid, None, "{id}");
-        }
-        template.end();
-    }
+/// Returns the memory of a process in bytes.
+pub(in crate::worker) fn memory_of_process(pid: u32) -> Option<u64> {
+    let text = std::fs::read_to_string(format!("/proc/{pid}/statm")).ok()?;
+    let pages: u64 = text.split(' ').nth(1)?.parse().ok()?;
+    Some(pages * rustix::param::page_size() as u64)
 }

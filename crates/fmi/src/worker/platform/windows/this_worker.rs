@@ -1,12 +1,15 @@
 //! A worker process receives its order and sets up itself.
 
-use super::order::{Channel, Received};
+use super::super::order::{Order, Shared};
+use super::channel::Channel;
 use crate::sys::Page;
-use crate::sys::windows::{end_on_errors, forget_variable, take_handle, take_socket};
+use crate::sys::windows::{Job, end_on_errors, forget_variable, set_variable, take_handle, take_socket};
 use crate::worker::frame::{Frame, FrameSize};
-use crate::worker::handshake::{Assigned, LEVEL, WORKER_VARIABLE};
+use crate::worker::handshake::{Assigned, LEVEL, Start, WORKER_VARIABLE};
 use crate::worker::limits::WorkerLimits;
-use std::io::{self, ErrorKind};
+use std::fs::File;
+use std::io::{self, ErrorKind, Write};
+use std::net::Ipv4Addr;
 use std::time::Duration;
 
 /// Time between two checks of a channel with unread bytes.
@@ -23,12 +26,34 @@ pub(in crate::worker) fn await_order(
         Err(error) if error.kind() == ErrorKind::UnexpectedEof => return Ok(None),
         outcome => outcome?,
     }
-    let Received { socket, page, folder, start } = received.head()?;
+    let Order { shared, folder, start }: Order<Start> = received.head()?;
     // A program that the FMU starts must not serve.
     forget_variable(WORKER_VARIABLE);
     forget_variable(LEVEL);
-    let page = Page::of(&take_handle(page))?.tell_calls().map_err(io::Error::other)?;
-    Ok(Some(Assigned { start, channel: take_socket(&socket)?, page, folder, has_loaded: false }))
+    let (page, channel) = match shared {
+        Shared::Handles { socket, page } => (Page::of(&take_handle(page))?, take_socket(&socket)?),
+        Shared::Names { port, key, page } => {
+            // A process under Wine has the variables of its caller, except these.
+            set_variable("TEMP", &folder);
+            set_variable("TMP", &folder);
+            end_children_with_this_process()?;
+            let mut channel = Channel::connect((Ipv4Addr::LOCALHOST, port))?;
+            channel.set_nodelay(true)?;
+            channel.write_all(&key)?;
+            (Page::of_file(&File::options().read(true).write(true).open(page)?)?, channel)
+        }
+    };
+    let page = page.tell_calls().map_err(io::Error::other)?;
+    Ok(Some(Assigned { start, channel, page, folder, has_loaded: false }))
+}
+
+/// Makes the processes that this process starts end with it. The caller cannot end them under Wine.
+fn end_children_with_this_process() -> io::Result<()> {
+    let job = Job::new(None)?;
+    job.add_this_process()?;
+    // The system closes the group at the end of this process.
+    std::mem::forget(job);
+    Ok(())
 }
 
 /// Makes faults of the FMU end this process. The memory is limited by the group of the process.
