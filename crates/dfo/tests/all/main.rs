@@ -27,6 +27,7 @@ mod forged_states;
 mod genetic;
 mod hand_over;
 mod honest_ends;
+mod last_digits;
 mod least_squares;
 mod least_squares_results;
 mod more_wild;
