@@ -69,13 +69,15 @@ windows-worker:  ## the program that runs models of Windows under Wine, into ~/.
 	@x86_64-w64-mingw32-gcc -O2 -shared -o $(WORKER_FOLDER)/bcryptprimitives.dll tools/bcryptprimitives.c -ladvapi32
 	@echo "wrote $(WORKER_FOLDER)/fmufit-worker.exe"
 
-test-windows: build  ## numerics, fits and faults under Wine; wants wine64, mingw and `rustup target add x86_64-pc-windows-gnu`
-	$(call suite,windows tests,$(MINGW) CARGO_TARGET_X86_64_PC_WINDOWS_GNU_RUNNER=$(WINE) \
-		cargo test --quiet --target $(WINDOWS) --package fmufit-base --package fmufit-ode)
-	$(call suite,windows fits,$(MINGW) cargo build --quiet --target $(WINDOWS) --package fmufit-cli && \
-		WINE=$(WINE) $(BIN)/python tools/windows_check.py target/$(WINDOWS)/debug/fmufit.exe target/windows-check)
+test-windows: export WINEPREFIX := $(CURDIR)/target/wine
+test-windows: export WINEDEBUG := -all
+test-windows: build  ## the tests of the crates, fits and faults under Wine; wants wine64, mingw and `rustup target add x86_64-pc-windows-gnu`
+	@bash tools/wine_prefix.sh $(WINE) $(WINEPREFIX)
+	$(call suite,tests under Wine,$(MINGW) CARGO_TARGET_X86_64_PC_WINDOWS_GNU_RUNNER=$(WINE) $(BIN)/python tools/wine_cc.py \
+		cargo test --quiet --target $(WINDOWS) $(addprefix --package fmufit-,base ode dfo fmi calibration cli) --lib --bins --tests)
+	$(call suite,fits under Wine,WINE=$(WINE) $(BIN)/python tools/windows_check.py target/$(WINDOWS)/debug/fmufit.exe target/windows-check)
 	@$(MAKE) --no-print-directory windows-worker WORKER_FOLDER=target/windows-worker
-	$(call suite,models of Windows,FMUFIT_WINE=$(WINE) $(BIN)/python tools/wine_check.py $(BIN)/fmufit target/windows-worker/fmufit-worker.exe target/wine-check)
+	$(call suite,models for Windows,FMUFIT_WINE=$(WINE) $(BIN)/python tools/wine_check.py $(BIN)/fmufit target/windows-worker/fmufit-worker.exe target/wine-check)
 
 test-long: $(VENV)/.tools build  ## what takes long: many runs, memory
 	$(call suite,long rust tests,cargo test --workspace --release --quiet -- --ignored)

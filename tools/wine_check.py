@@ -50,7 +50,6 @@ def main(fmufit, worker, work):
     environment = {
         **os.environ,
         "FMUFIT_WINDOWS_WORKER": str(Path(worker).resolve()),
-        "WINEPREFIX": str(work / "prefix"),
         "TMPDIR": str(temporary),
     }
 

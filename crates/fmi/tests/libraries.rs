@@ -70,6 +70,7 @@ fn library_is_used_by_one_thread_at_a_time() {
 
 /// Each handle has a separate library. If the loader shares one library between them, their runs take turns.
 #[test]
+#[cfg_attr(windows, ignore = "builds an ELF library")]
 fn opening_a_file_twice_gives_independent_models() {
     for folder in [
         evil(&["SHARED_GLOBALS"]),
@@ -291,6 +292,7 @@ fn library_can_log_while_unloading() {
 }
 
 #[test]
+#[cfg_attr(windows, ignore = "uses the threads of POSIX")]
 fn thread_can_outlive_the_library() {
     let folder = evil(&["THREAD_DATA"]);
     let (sender, receiver) = channel::<()>();

@@ -154,6 +154,7 @@ fn likelihood(residuals: &[f64]) -> f64 {
 /// Compares least squares with the method for costs without residuals, which fits of the likelihood used
 /// before. Prints the numbers of evaluations.
 #[test]
+#[cfg_attr(windows, ignore = "the counts depend on the last digits of mathematical functions")]
 fn likelihood_needs_half_of_the_evaluations_of_a_scalar_search_for_the_same_optimum() {
     let problems = [
         ("furuta", furuta(), vec![None, Some(vec![0.02, 0.01]), Some(vec![0.004, 0.0005])]),

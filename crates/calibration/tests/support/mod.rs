@@ -18,7 +18,7 @@ pub(crate) fn faulty(defines: &[&str]) -> tempfile::TempDir {
     std::fs::create_dir_all(&place).unwrap();
     let compiled = Command::new("cc")
         .args(["-shared", "-fPIC", "-O1", "-ffp-contract=off", "-o"])
-        .arg(place.join("evil.so"))
+        .arg(place.join(format!("evil.{}", fmi::platform::LIBRARY_EXTENSION)))
         .args(defines.iter().map(|define| format!("-D{define}")))
         .arg("-I")
         .arg(source.join("../example-models/models/frontend"))

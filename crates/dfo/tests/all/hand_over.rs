@@ -81,6 +81,7 @@ fn auto_finds_unknown_sizes() {
 /// On the problems of Moré and Wild with absolute residuals, `auto` solves at most two problems fewer than
 /// Nelder-Mead, with at most 1.2 times its evaluations.
 #[test]
+#[cfg_attr(windows, ignore = "the counts depend on the last digits of mathematical functions")]
 fn auto_matches_nelder_mead_on_kinks() {
     let histories = |method: &AnyMethod, p: &problems::Instance| {
         let cost = |x: &[f64]| residuals(p.number, p.m, x).iter().map(|r| r.abs()).sum::<f64>();

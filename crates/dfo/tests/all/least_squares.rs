@@ -252,6 +252,7 @@ fn least_squares_solves_smooth_problems_in_few_evaluations() {
 /// Evaluations until the end with default tolerances, in units of n + 1. SciPy's
 /// `least_squares(method="trf")` needs 8.7.
 #[test]
+#[cfg_attr(windows, ignore = "the counts depend on the last digits of mathematical functions")]
 fn least_squares_ends_in_few_evaluations() {
     let mut units = Vec::new();
     for regression in regressions() {

@@ -240,6 +240,10 @@ fn covariance_matches_closed_form_after_huge_residuals() {
 
 /// NIST StRD: certified standard deviations of the estimates.
 #[test]
+#[cfg_attr(
+    windows,
+    ignore = "the path to one of two minima depends on the last digits of mathematical functions"
+)]
 fn covariance_matches_certified_values_for_hard_regressions() {
     let certified: [(&str, &[f64]); 2] = [
         ("MGH17", &[2.0723153551e-3, 2.2031669222e-1, 2.2175707739e-1, 4.4861358114e-4, 8.9471996575e-4]),

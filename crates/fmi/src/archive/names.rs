@@ -204,16 +204,12 @@ mod tests {
 
     #[test]
     fn entry_names_accept_ordinary_names() {
-        for name in [
-            "modelDescription.xml",
-            "binaries/",
-            "a/b c/\u{e4}.txt",
-            "...",
-            "a..b",
-            "10:30.txt",
-            "sources/a.c",
-        ] {
+        for name in ["modelDescription.xml", "binaries/", "a/b c/\u{e4}.txt", "a..b", "sources/a.c"] {
             assert_eq!(check(name), Ok(()), "{name}");
+        }
+        // Windows reserves such names.
+        for name in ["...", "10:30.txt"] {
+            assert_eq!(check(name).is_ok(), !cfg!(windows), "{name}");
         }
     }
 

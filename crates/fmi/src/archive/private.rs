@@ -274,7 +274,16 @@ mod tests {
 
     fn make_old(folder: &Path) {
         let long_ago = std::time::SystemTime::now() - 2 * ABANDONED;
+        #[cfg(unix)]
         File::open(folder).unwrap().set_modified(long_ago).unwrap();
+        #[cfg(windows)]
+        {
+            // FILE_WRITE_ATTRIBUTES and FILE_FLAG_BACKUP_SEMANTICS, which a folder needs.
+            use std::os::windows::fs::OpenOptionsExt;
+            let mut options = File::options();
+            let folder = options.access_mode(0x100).custom_flags(0x0200_0000).open(folder).unwrap();
+            folder.set_modified(long_ago).unwrap();
+        }
     }
 
     /// Old folders with such a name that belong to the user. Each differs from our layout in one detail.

@@ -59,7 +59,16 @@ impl BuildTarget {
     /// function of Dymola's sources).
     pub(crate) fn options(self) -> &'static [&'static str] {
         if self.is_windows() {
-            &["-O2", "-DNDEBUG", "-shared", "-static-libgcc", "-ffp-contract=off"]
+            &[
+                "-O2",
+                "-DNDEBUG",
+                "-shared",
+                "-static-libgcc",
+                "-ffp-contract=off",
+                // The same sources give the same file: no names of temporary files, no time.
+                "-s",
+                "-Wl,--no-insert-timestamp",
+            ]
         } else {
             &["-O2", "-DNDEBUG", "-fPIC", "-shared", "-ffp-contract=off"]
         }

@@ -41,9 +41,9 @@ const NEARER: f64 = 0.25;
 const SMALLER: f64 = 0.5;
 /// Number of consecutive indications that trigger a probe.
 const MOST_NOISY: usize = 2;
-/// Cost above which a point does not enter the set, in units of the largest cost in the set. Of 720 fits of an
-/// exponential decay from far away, with errors in the last digit of the residuals, six end without success
-/// otherwise, and none with this limit (`tests/all/last_digits.rs`).
+/// Cost above which a point does not enter the set, in units of the largest cost in the set. Of 720 fits of
+/// an exponential decay from far away, with errors in the last digit of the residuals, six end without
+/// success otherwise, and none with this limit (`tests/all/last_digits.rs`).
 const WILD: f64 = 1e8;
 /// Change of the residuals next to a point, relative to the misfit of the model, that counts as noise.
 const JUMP: f64 = 0.03;
