@@ -125,6 +125,8 @@ def main(fmufit, worker, work):
         done = run("fit", f"{name}.toml", "--quiet", "--json")
         fit = json.loads(done.stdout)
         print(f"{name}: fit with {fit['n_failed']} of {fit['n_evaluations']} evaluations failed")
+        told = run("fit", f"{name}.toml", "--quiet")
+        assert words in told.stdout + told.stderr, (name, told)
         assert fit["n_failed"] > 0 and abs(fit["parameters"][0]["value"] - 2) < 0.02
 
     generator, cuts = random.Random(1), 0

@@ -24,11 +24,11 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 const KINDS: [InterfaceKind; 2] = [InterfaceKind::ModelExchange, InterfaceKind::CoSimulation];
 
+/// Maximum number of characters of an error in a warning.
+const LONGEST_ERROR: usize = 200;
+
 const LEAVES_TRACES: &str = "after the reset function, a simulation differs from one in a fresh process. Each simulation gets a new instance, \
                              which takes longer. No action is needed";
-
-/// Maximum number of characters of the reason in a warning.
-const LONGEST_REASON: usize = 200;
 
 const HIDDEN_STATE: &str = "a simulation depends on earlier ones in the same process: the model keeps a state outside of its instances. Each \
                             simulation gets a new process, which takes longer. No action is needed";
@@ -313,7 +313,12 @@ impl Fmu {
         if let Some(workers) = shared.upgrade().filter(|workers| *workers.limits() == limits) {
             return Ok(Some(workers));
         }
-        let workers = match self.needs_wine() {
+        // With a sandbox, sources are compiled in confined processes only.
+        let under_wine = match limits.sandbox && self.runs_by(RunsBy::Compiling) {
+            true => false,
+            false => self.needs_wine(),
+        };
+        let workers = match under_wine {
             true => Some(Workers::under_wine(limits)?),
             false => Workers::new(limits),
         };
@@ -337,34 +342,44 @@ impl Fmu {
     }
 
     /// True if the FMU runs on this platform only under Wine: it has a library for Windows, no library for
-    /// this platform, and no sources. If it has sources, the first call compiles them; they count as absent
-    /// if that fails and the programs to run it under Wine are present.
+    /// this platform, and no sources. If it has sources, and the programs to run it under Wine are present,
+    /// the first call compiles the sources; they count as absent if that fails.
     pub fn needs_wine(&self) -> bool {
         *self.inner.needs_wine.get_or_init(|| {
-            // An error is reported when the files are unpacked.
-            let platforms = self.platforms().unwrap_or_default();
-            let has = |runs_by| platforms.iter().any(|platform| platform.runs_by == runs_by);
-            if !has(RunsBy::Wine) || has(RunsBy::Loading) || !has(RunsBy::Compiling) {
-                return has(RunsBy::Wine) && !has(RunsBy::Loading);
-            }
-            let mut built =
-                self.interfaces().map(|(_, interface)| self.binary(interface, &CancelRequest::default()));
-            let failed = built.find_map(|library| match library {
-                Err(error @ (FmiError::NoCompiler { .. } | FmiError::CompileFailed { .. })) => Some(error),
-                Err(error @ FmiError::NoBinary { .. }) => Some(error),
-                _ => None,
-            });
-            let Some(error) = failed.filter(|_| check_wine().is_ok()) else { return false };
-            let text = error.to_string();
-            let start: String =
-                text.lines().next().unwrap_or_default().chars().take(LONGEST_REASON).collect();
-            let path = self.path().display();
-            log::warn!(
-                "{path}: the sources do not compile here, so the library for Windows runs under Wine. The \
-                 compiler's message begins: {start}"
-            );
-            true
+            let is_without_sources = || !self.runs_by(RunsBy::Compiling);
+            self.is_for_windows() && (is_without_sources() || (check_wine().is_ok() && !self.compiles()))
         })
+    }
+
+    /// True if the FMU has a library that runs under Wine, and none for this platform.
+    fn is_for_windows(&self) -> bool {
+        self.runs_by(RunsBy::Wine) && !self.runs_by(RunsBy::Loading)
+    }
+
+    /// True if a part of the FMU runs like this. An error counts as false; it is reported when the files are
+    /// unpacked.
+    fn runs_by(&self, runs_by: RunsBy) -> bool {
+        self.platforms().is_ok_and(|platforms| platforms.iter().any(|platform| platform.runs_by == runs_by))
+    }
+
+    /// Compiles the sources. Returns false, and logs the error, if they cannot be compiled.
+    fn compiles(&self) -> bool {
+        for (_, interface) in self.interfaces() {
+            let error = match self.binary(interface, &CancelRequest::default()) {
+                Err(error @ (FmiError::NoCompiler { .. } | FmiError::CompileFailed { .. })) => error,
+                Err(error @ FmiError::NoBinary { .. }) => error,
+                _ => continue,
+            };
+            let text = error.to_string();
+            let start: String = text.lines().next().unwrap_or_default().chars().take(LONGEST_ERROR).collect();
+            log::warn!(
+                "{}: the sources do not compile here, so the library for Windows runs under Wine. The error \
+                 begins: {start}",
+                self.path().display()
+            );
+            return false;
+        }
+        true
     }
 
     /// Adds departures from the standard detected in a worker process. New ones are also sent to
@@ -772,8 +787,13 @@ impl Fmu {
             FmiError::NoBinary { wanted, present, .. } => FmiError::NoBinary {
                 path: self.path().to_owned(),
                 wanted,
-                present: match self.inner.needs_wine.get() == Some(&true) {
-                    true => format!("{present}, which runs in a worker process under Wine"),
+                present: match self.is_for_windows() && !self.runs_by(RunsBy::Compiling) {
+                    true => match check_wine() {
+                        Err(FmiError::NoWine { reason }) => {
+                            format!("{present}, which runs under Wine. {reason}")
+                        }
+                        _ => format!("{present}, which runs in a worker process under Wine"),
+                    },
                     false => format!("{present}; cannot build one: {no_sources}"),
                 },
             },

@@ -6,9 +6,9 @@
 //! that owns the folder. Folders with any other layout are never removed.
 
 use crate::error::{FmiError, Result};
-use crate::platform;
+use crate::platform::{self, LOCK, MARK, NEW_LOCK, is_left_behind, new_lock};
 use std::fs::{self, File};
-use std::io::{self, Read, Write};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError};
 use std::time::Duration;
@@ -16,11 +16,6 @@ use tempfile::TempDir;
 
 const PREFIX: &str = platform::PRIVATE_PREFIX;
 const INSIDE: &str = "fmu";
-const LOCK: &str = "lock";
-/// Temporary name of a lock file before it is complete.
-const NEW_LOCK: &str = "lock.new";
-/// Content of a lock file.
-const MARK: &[u8] = b"fmufit: an unpacked FMU; this folder goes with the process that locks this file\n";
 
 /// A private folder of this process.
 #[derive(Debug)]
@@ -116,18 +111,6 @@ fn take_lock(path: &Path) -> Option<Arc<File>> {
     Some(lock)
 }
 
-fn new_lock(path: &Path) -> Option<File> {
-    let unnamed = path.with_file_name(NEW_LOCK);
-    let file = File::create_new(&unnamed).ok()?;
-    let is_made = (&file).write_all(MARK).is_ok() && file.try_lock().is_ok();
-    if is_made && fs::rename(&unnamed, path).is_ok() {
-        return Some(file);
-    }
-    drop(file);
-    let _ = fs::remove_file(&unnamed);
-    None
-}
-
 /// Age after which a folder without a lock counts as left behind by a process killed while creating it.
 const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 
@@ -152,14 +135,9 @@ fn sweep(base: &Path) {
 
 /// Removes a folder with our layout whose lock file is not locked.
 fn remove_unlocked(folder: &Path) {
-    let Ok(mut lock) = base::files::open_of_user(&folder.join(LOCK)) else { return };
-    let mut content = Vec::new();
-    let is_ours =
-        (&mut lock).take(MARK.len() as u64 + 1).read_to_end(&mut content).is_ok() && content == MARK;
-    if !(is_ours && lock.try_lock().is_ok() && has_our_layout(folder)) {
+    if !(is_left_behind(&folder.join(LOCK)) && has_our_layout(folder)) {
         return;
     }
-    drop(lock);
     if let Err(error) = fs::remove_dir_all(folder) {
         log::debug!("{} was not deleted: {error}", folder.display());
     }

@@ -149,12 +149,16 @@ pub enum FmiError {
         reason: String,
     },
     /// No C compiler was found.
-    #[error("no C compiler found to build \"{model_identifier}\" (tried {tried}); install one or set CC")]
+    #[error(
+        "no C compiler found to build \"{model_identifier}\" (tried {tried}); install one or set {variable}"
+    )]
     NoCompiler {
         /// Model identifier of the interface.
         model_identifier: String,
         /// Compiler names tried.
         tried: String,
+        /// Environment variable for the name of another compiler.
+        variable: &'static str,
     },
     /// The C compiler rejected the sources.
     #[error("building \"{model_identifier}\" failed ({status}): {command}\n{output}")]

@@ -65,9 +65,10 @@ impl BuildTarget {
                 "-shared",
                 "-static-libgcc",
                 "-ffp-contract=off",
-                // The same sources give the same file: no names of temporary files, no time.
+                // The same sources give the same file: no names of temporary files, no time, and an address that
+                // does not depend on the path of the library.
                 "-s",
-                "-Wl,--no-insert-timestamp",
+                "-Wl,--no-insert-timestamp,--disable-auto-image-base",
             ]
         } else {
             &["-O2", "-DNDEBUG", "-fPIC", "-shared", "-ffp-contract=off"]

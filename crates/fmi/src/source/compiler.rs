@@ -86,6 +86,7 @@ impl Compiler {
         found.ok_or_else(|| FmiError::NoCompiler {
             model_identifier: model_identifier.to_owned(),
             tried: chosen.map_or(usual.join(", "), |command| format!("{variable}={command}")),
+            variable,
         })
     }
 

@@ -2,6 +2,8 @@
 
 use crate::platform::private_folder_builder;
 #[cfg(any(windows, target_os = "linux"))]
+use crate::platform::{LOCK, file_of_user, is_left_behind, keep_others_out, new_lock};
+#[cfg(any(windows, target_os = "linux"))]
 use std::fs::{DirEntry, File};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -14,17 +16,13 @@ use std::time::SystemTime;
 pub(super) struct Folder {
     path: PathBuf,
     owner: u32,
-    /// Locked by the process that owns the folder, until its end.
+    /// Locked until the folder is removed. `None` for a template, or if the file system has no locks.
     #[cfg(any(windows, target_os = "linux"))]
     lock: Option<File>,
 }
 
 /// Beginning of the names of all folders.
 const PREFIX: &str = "fmufit-worker-";
-
-/// File in the folder of a starter that its owner has locked.
-#[cfg(any(windows, target_os = "linux"))]
-const LOCK: &str = "owner";
 
 /// Number of folders that this process has created.
 static N_MADE: AtomicU32 = AtomicU32::new(0);
@@ -52,9 +50,7 @@ impl Folder {
     pub(super) fn of_starter() -> std::io::Result<Self> {
         remove_abandoned(&std::env::temp_dir());
         let mut folder = Self::new()?;
-        let lock = File::create_new(folder.path.join(LOCK))?;
-        lock.lock()?;
-        folder.lock = Some(lock);
+        folder.lock = new_lock(&folder.path.join(LOCK));
         Ok(folder)
     }
 
@@ -80,19 +76,20 @@ pub(super) fn worker_folder(template: &Path, number: u32) -> PathBuf {
     template.with_extension(format!("{number:010}"))
 }
 
-/// Removes the folders of starters whose process has ended, and the folders of their workers. The lock of a
-/// file ends with the process that has it, also if that process cannot be seen from here.
+/// Removes the folders of starters whose process has ended, and the folders of their workers. Folders of
+/// other users are not changed. The lock of a file ends with the process that has it, also if that process
+/// cannot be seen from here.
 #[cfg(any(windows, target_os = "linux"))]
 fn remove_abandoned(temporary: &Path) {
+    let Ok(user_file) = file_of_user() else { return };
     let listed = std::fs::read_dir(temporary).into_iter().flatten().flatten();
     let is_folder = |entry: &DirEntry| entry.file_type().is_ok_and(|kind| kind.is_dir());
-    let is_ours = |entry: &DirEntry| entry.file_name().as_encoded_bytes().starts_with(PREFIX.as_bytes());
-    let folders: Vec<PathBuf> = listed.filter(is_ours).filter(is_folder).map(|entry| entry.path()).collect();
+    let is_named = |entry: &DirEntry| entry.file_name().as_encoded_bytes().starts_with(PREFIX.as_bytes());
+    let named = listed.filter(is_named).filter(is_folder).map(|entry| entry.path());
+    let folders: Vec<PathBuf> = named.filter(|path| keep_others_out(path, &user_file).is_ok()).collect();
     for starter in folders.iter().filter(|path| **path == worker_folder(path, 0)) {
         // An incomplete folder of another process has no such file yet.
-        let Ok(lock) = File::options().write(true).open(starter.join(LOCK)) else { continue };
-        if lock.try_lock().is_ok() {
-            drop(lock);
+        if is_left_behind(&starter.join(LOCK)) {
             let is_of_starter = |path: &&PathBuf| path.file_stem() == starter.file_stem();
             folders.iter().filter(is_of_starter).for_each(|path| remove(path));
         }
@@ -130,20 +127,18 @@ mod tests {
         let temporary = tempfile::tempdir().unwrap();
         let starter = |name: &str| worker_folder(&temporary.path().join(format!("{PREFIX}{name}")), 0);
         let (ended, running, incomplete) = (starter("1-0-a"), starter("2-0-b"), starter("3-0-c"));
-        let other = temporary.path().join("other.0000000000");
-        for folder in
-            [&ended, &worker_folder(&ended, 1), &running, &worker_folder(&running, 1), &incomplete, &other]
-        {
+        let (unmarked, other) = (starter("4-0-d"), temporary.path().join("other.0000000000"));
+        let (of_ended, of_running) = (worker_folder(&ended, 1), worker_folder(&running, 1));
+        let kept = [&running, &of_running, &incomplete, &unmarked, &other];
+        for folder in [&ended, &of_ended].into_iter().chain(kept) {
             make(folder).unwrap();
         }
-        for folder in [&ended, &other] {
-            File::create_new(folder.join(LOCK)).unwrap();
-        }
-        let lock = File::create_new(running.join(LOCK)).unwrap();
-        lock.lock().unwrap();
+        let lock = new_lock(&running.join(LOCK));
+        assert!(lock.is_some());
+        drop([&ended, &other].map(|folder| new_lock(&folder.join(LOCK)).unwrap()));
+        std::fs::write(unmarked.join(LOCK), "of another program").unwrap();
         remove_abandoned(temporary.path());
-        assert!(!ended.exists() && !worker_folder(&ended, 1).exists());
-        assert!(running.exists() && worker_folder(&running, 1).exists());
-        assert!(incomplete.exists() && other.exists());
+        assert!(!ended.exists() && !of_ended.exists());
+        assert!(kept.iter().all(|folder| folder.exists()));
     }
 }

@@ -45,8 +45,11 @@ fn info_shows_variables_with_causality_unit_and_start() {
 fn write_windows_model(folder: &Folder) {
     let mut archive = zip::ZipWriter::new(std::fs::File::create(folder.path("windows.fmu")).unwrap());
     let description = "<fmiModelDescription fmiVersion=\"2.0\" modelName=\"m\" guid=\"g\"><ModelExchange \
-                       modelIdentifier=\"m\"/><DefaultExperiment stopTime=\"1\"/><ModelVariables/><ModelStructure/>\
-                       </fmiModelDescription>";
+                       modelIdentifier=\"m\"/><DefaultExperiment stopTime=\"1\"/><ModelVariables><ScalarVariable name=\"k\" \
+                       valueReference=\"0\" causality=\"parameter\" variability=\"fixed\"><Real start=\"1\"/>\
+                       </ScalarVariable><ScalarVariable name=\"y\" valueReference=\"1\" causality=\"output\"><Real/>\
+                       </ScalarVariable></ModelVariables><ModelStructure><Outputs><Unknown index=\"2\"/></Outputs>\
+                       </ModelStructure></fmiModelDescription>";
     for (name, content) in [("modelDescription.xml", description), ("binaries/win64/m.dll", "MZ")] {
         archive.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
         std::io::Write::write_all(&mut archive, content.as_bytes()).unwrap();
@@ -60,28 +63,39 @@ fn model_for_windows_reports_the_missing_program() {
     let folder = Folder::new();
     write_windows_model(&folder);
     folder.write("program", "");
-    let missing = |variables: &[(&str, &str)]| {
-        let mut command = folder.command("simulate windows.fmu --outputs time");
+    folder.write("data.csv", "time,y\n0,1\n1,2\n");
+    folder.write(
+        "fit.toml",
+        "model = 'windows.fmu'\n[[experiments]]\ndata = 'data.csv'\noutputs = { y = 'y' }\n[[parameters]]\n\
+         name = 'k'\nstart = 1.0\n",
+    );
+    let failed = |arguments: &str, variables: &[(&str, &str)]| {
+        let mut command = folder.command(arguments);
         command.env("XDG_DATA_HOME", folder.path("data")).envs(variables.iter().copied());
         let output = command.output().unwrap();
         assert!(!output.status.success());
         String::from_utf8(output.stderr).unwrap()
     };
+    let missing = |variables: &[(&str, &str)]| failed("simulate windows.fmu --outputs time", variables);
     let program = folder.path("program").display().to_string();
     let message = missing(&[("FMUFIT_WINE", "/no/wine")]);
     assert!(
         message.contains("a library for Windows only") && message.contains("FMUFIT_WINE = /no/wine"),
         "{message}"
     );
+    let message = failed("fit fit.toml", &[("FMUFIT_WINE", "/no/wine")]);
+    assert!(message.contains("runs under Wine. FMUFIT_WINE = /no/wine is not a file"), "{message}");
     let message = missing(&[("FMUFIT_WINE", &program)]);
     assert!(message.contains("data/fmufit/windows/fmufit-worker.exe, was not found"), "{message}");
     assert!(message.contains("make windows-worker"), "{message}");
     // A program that cannot be started.
-    let message = missing(&[("FMUFIT_WINE", &program), ("FMUFIT_WINDOWS_WORKER", &program)]);
-    assert!(message.contains("cannot start a worker process") && message.contains(&program), "{message}");
+    let broken = [("FMUFIT_WINE", &*program), ("FMUFIT_WINDOWS_WORKER", &*program)];
+    for message in [missing(&broken), failed("fit fit.toml", &broken)] {
+        assert!(message.contains("Cannot start a worker process") && message.contains(&program), "{message}");
+    }
     // A program that ends at once.
     let message = missing(&[("FMUFIT_WINE", "/bin/false"), ("FMUFIT_WINDOWS_WORKER", &program)]);
-    assert!(message.contains("cannot start a worker process"), "{message}");
+    assert!(message.contains("Cannot start a worker process"), "{message}");
     let text = folder.run("info windows.fmu").good();
     assert!(text.contains("win64 (runs here under Wine)"), "{text}");
 }

@@ -23,6 +23,10 @@ use std::time::{Duration, Instant};
 /// Time between two checks for the end of a process.
 const LOOK: Duration = Duration::from_millis(1);
 
+/// Maximum length of the path of a worker's folder. With its drive and a separator, Windows returns at most
+/// 260 characters as the folder for temporary files (`GetTempPath2W`).
+const LONGEST_FOLDER: usize = 256;
+
 /// Starts workers with one program.
 #[derive(Debug)]
 pub(in crate::worker) struct Starter {
@@ -86,6 +90,14 @@ impl Starter {
         let number = workers.n_started + 1;
         let folder = worker_folder(self.folder.path(), number);
         let begun = make(&folder).and_then(|()| {
+            if folder.as_os_str().len() > LONGEST_FOLDER {
+                remove(&folder);
+                let problem = format!(
+                    "TMPDIR: the path {} has more than {LONGEST_FOLDER} bytes, the maximum on Windows",
+                    folder.display()
+                );
+                return Err(io::Error::other(problem));
+            }
             let begun = begin(&self.launcher, start, printed, &folder);
             begun.inspect_err(|_| remove(&folder))
         });
@@ -97,7 +109,12 @@ impl Starter {
     }
 
     fn failed(&self, reason: &str) -> FmiError {
-        FmiError::NoWorker { reason: format!("{}: {reason}", self.launcher.program.display()) }
+        let reason = format!("{}: {reason}", self.launcher.program.display());
+        match self.launcher.wine {
+            // Such a model cannot run in this process instead.
+            Some(_) => FmiError::NoWine { reason: format!("Cannot start a worker process ({reason})") },
+            None => FmiError::NoWorker { reason },
+        }
     }
 
     pub(in crate::worker) fn end(&self) {

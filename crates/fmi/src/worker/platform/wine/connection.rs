@@ -1,7 +1,7 @@
 //! Connection with a worker that connects after its start.
 
 use super::super::order::Key;
-use rustix::net::sockopt::{Timeout, set_socket_timeout};
+use rustix::net::sockopt::{Timeout, set_socket_timeout, socket_timeout};
 use std::fs::File;
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
@@ -14,7 +14,7 @@ const KEY: Duration = Duration::from_secs(1);
 /// The caller's end of a channel. Until the worker has connected, reading and writing wait for it.
 #[derive(Debug)]
 pub(in crate::worker) struct Connection {
-    /// Its time limits are those of the channel, which inherits them (socket(7)).
+    /// Its time limits are those of the channel.
     listener: TcpListener,
     key: Key,
     connected: OnceLock<TcpStream>,
@@ -49,14 +49,15 @@ impl Connection {
             return Ok(stream);
         }
         let (mut stream, _) = self.listener.accept()?;
-        let longest = stream.read_timeout()?;
         stream.set_read_timeout(Some(KEY))?;
         let mut key = Key::default();
         if stream.read_exact(&mut key).is_err() || key != self.key {
             // Another process has connected.
             return Err(ErrorKind::WouldBlock.into());
         }
-        stream.set_read_timeout(longest)?;
+        for timeout in [Timeout::Recv, Timeout::Send] {
+            set_socket_timeout(&stream, timeout, socket_timeout(&self.listener, timeout)?)?;
+        }
         stream.set_nodelay(true)?;
         Ok(self.connected.get_or_init(|| stream))
     }

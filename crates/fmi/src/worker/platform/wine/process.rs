@@ -48,6 +48,8 @@ pub(in crate::worker) fn begin(
         let found = surroundings.variables.iter().find(|(found, _)| found == name);
         found.map(|(_, value)| value).filter(|value| !value.is_empty())
     };
+    // In other locales, Wine cannot open paths that are not ASCII.
+    command.env("LC_ALL", "C.UTF-8");
     if variable("WINEDEBUG").is_none() {
         // Otherwise, Wine prints messages for its developers.
         command.env("WINEDEBUG", "-all");
