@@ -69,15 +69,21 @@ windows-worker:  ## the program that runs models of Windows under Wine, into ~/.
 	@x86_64-w64-mingw32-gcc -O2 -shared -o $(WORKER_FOLDER)/bcryptprimitives.dll tools/bcryptprimitives.c -ladvapi32
 	@echo "wrote $(WORKER_FOLDER)/fmufit-worker.exe"
 
+# The crates whose tests run under Wine. WINDOWS_CRATES="fmi cli" runs those with code for Windows only.
+WINDOWS_CRATES ?= base ode dfo fmi calibration cli
+WINDOWS_BUILT := target/$(WINDOWS)/debug
+
 test-windows: export WINEPREFIX := $(CURDIR)/target/wine
 test-windows: export WINEDEBUG := -all
-test-windows: build  ## the tests of the crates, fits and faults under Wine; wants wine64, mingw and `rustup target add x86_64-pc-windows-gnu`
+test-windows: $(VENV)/.tools  ## the tests of the crates, fits and faults under Wine; wants wine64, mingw and `rustup target add x86_64-pc-windows-gnu`
+	$(call develop)
 	@bash tools/wine_prefix.sh $(WINE) $(WINEPREFIX)
 	$(call suite,tests under Wine,$(MINGW) CARGO_TARGET_X86_64_PC_WINDOWS_GNU_RUNNER=$(WINE) $(BIN)/python tools/wine_cc.py \
-		cargo test --quiet --target $(WINDOWS) $(addprefix --package fmufit-,base ode dfo fmi calibration cli) --lib --bins --tests)
-	$(call suite,fits under Wine,WINE=$(WINE) $(BIN)/python tools/windows_check.py target/$(WINDOWS)/debug/fmufit.exe target/windows-check)
-	@$(MAKE) --no-print-directory windows-worker WORKER_FOLDER=target/windows-worker
-	$(call suite,models for Windows,FMUFIT_WINE=$(WINE) $(BIN)/python tools/wine_check.py $(BIN)/fmufit target/windows-worker/fmufit-worker.exe target/wine-check)
+		cargo test --quiet --target $(WINDOWS) $(addprefix --package fmufit-,$(WINDOWS_CRATES)) --lib --bins --tests)
+	$(call suite,programs for Windows,$(MINGW) cargo build --quiet --target $(WINDOWS) --package fmufit-calibration --package fmufit-cli --bins)
+	$(call suite,fits under Wine,WINE=$(WINE) $(BIN)/python tools/windows_check.py $(WINDOWS_BUILT)/fmufit.exe target/windows-check)
+	@x86_64-w64-mingw32-gcc -O2 -shared -o $(WINDOWS_BUILT)/bcryptprimitives.dll tools/bcryptprimitives.c -ladvapi32
+	$(call suite,models for Windows,FMUFIT_WINE=$(WINE) $(BIN)/python tools/wine_check.py $(BIN)/fmufit $(WINDOWS_BUILT)/fmufit-worker.exe target/wine-check)
 
 test-long: $(VENV)/.tools build  ## what takes long: many runs, memory
 	$(call suite,long rust tests,cargo test --workspace --release --quiet -- --ignored)

@@ -61,7 +61,7 @@ pub use data::{
     ClockChange, CsvRequest, Data, DateError, PairUnit, ParameterSet, Series, TimeColumn, Unit,
     UnitConversion, UnitError, clock_change, date_seconds, find_column,
 };
-pub use design::{Design, DesignBuilder, DesignResult};
+pub use design::{Design, DesignBuilder, DesignFront, DesignResult};
 pub use dfo;
 pub use dfo::ParameterKind;
 pub use error::CalibrationError;

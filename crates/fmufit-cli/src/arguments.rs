@@ -77,8 +77,16 @@ pub(crate) enum Command {
             fmufit optimize controller.toml --checkpoint controller.ckpt\n\n\
             The problem file has an objective such as objective = \"itae(e1)\", parameters, and optionally\n\
             constraints and [[scenarios]]. An existing checkpoint is continued.\n\n\
+            A list of objectives has a Pareto front: designs of which none is better in all of them.\n\n\
             Exits with 1 if the search did not converge or a constraint is violated.")]
     Optimize(Optimize),
+    /// Estimate the effect of each parameter over its whole range, before a fit or a design
+    #[command(after_help = "Examples:\n  \
+            fmufit sensitivity problem.toml --rng 1\n  \
+            fmufit sensitivity controller.toml --method sobol -n 64 --json\n\n\
+            Every parameter requires finite bounds. The effects are those on the cost and on the RMS error of\n\
+            each output, or on the objectives and criteria of a design.")]
+    Sensitivity(Sensitivity),
     /// Continue a fit from its checkpoint
     #[command(after_help = "Example:\n  \
             fmufit fit problem.toml --checkpoint plant.ckpt     (Ctrl-C, a reboot)\n  \
@@ -136,6 +144,7 @@ impl Command {
             | Self::Fit(Fit { json, .. })
             | Self::Resume(Fit { json, .. })
             | Self::Optimize(Optimize { json, .. })
+            | Self::Sensitivity(Sensitivity { json, .. })
             | Self::Jobs(Jobs::Run(JobsRun { json, .. }) | Jobs::Status(JobsStatus { json, .. })) => *json,
             Self::Jobs(Jobs::Next(_)) => true,
             _ => false,
@@ -383,7 +392,7 @@ pub(crate) struct Fit {
 
 #[derive(Debug, Args)]
 pub(crate) struct Optimize {
-    /// A problem file with an objective
+    /// A problem file with an objective, or with a list of objectives
     #[arg(value_name = "PROBLEM.toml")]
     pub(crate) problem: PathBuf,
     /// An option of the search, as in [fit]; may be given several times
@@ -395,7 +404,8 @@ pub(crate) struct Optimize {
     /// File for the state of the search, which is continued if it exists
     #[arg(long, value_name = "FILE")]
     pub(crate) checkpoint: Option<PathBuf>,
-    /// Write a page with tables and figures
+    /// Write a page with tables and figures; for a list of objectives, a table (.csv, .json) or a figure
+    /// (.svg)
     #[arg(short, long, value_name = "FILE.html")]
     pub(crate) report: Option<PathBuf>,
     /// Show the running search on a local page, whose address is printed. A button on the page ends the
@@ -405,6 +415,51 @@ pub(crate) struct Optimize {
     /// Print the result as a JSON document
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Sensitivity {
+    #[command(flatten)]
+    pub(crate) problem: Problem,
+    /// Method of the analysis
+    #[arg(long, value_name = "NAME", default_value = "morris")]
+    pub(crate) method: SensitivityName,
+    /// Number of trajectories (morris, default 10) or rows (sobol, default 1024; a power of two)
+    #[arg(short)]
+    pub(crate) n: Option<usize>,
+    /// Number of levels of each parameter, even (morris); default: 4
+    #[arg(long, value_name = "N")]
+    pub(crate) levels: Option<usize>,
+    /// Also estimate the effects of pairs of parameters (sobol)
+    #[arg(long)]
+    pub(crate) second_order: bool,
+    /// Level of the confidence intervals
+    #[arg(long, value_name = "NUMBER", default_value_t = 0.95)]
+    pub(crate) level: f64,
+    /// Seed of the random numbers; default: drawn, or 0 with a checkpoint
+    #[arg(long, value_name = "SEED")]
+    pub(crate) rng: Option<u64>,
+    /// Number of simulations in parallel; default: all cores. The result does not depend on it
+    #[arg(long, value_name = "N")]
+    pub(crate) workers: Option<usize>,
+    /// Limit of wall-clock time, in seconds. The result then contains the effects from the completed points
+    #[arg(long, value_name = "SECONDS")]
+    pub(crate) max_time: Option<f64>,
+    /// File with the completed simulations, which is continued if it exists
+    #[arg(long, value_name = "FILE")]
+    pub(crate) checkpoint: Option<PathBuf>,
+    /// Print the result, with all points and values, as a JSON document
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+/// Method of a sensitivity analysis.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum SensitivityName {
+    /// Screening by elementary effects, n (D + 1) simulations for D parameters
+    Morris,
+    /// Parts of the variance (Sobol' indices), n (D + 2) simulations
+    Sobol,
 }
 
 #[derive(Debug, Subcommand)]

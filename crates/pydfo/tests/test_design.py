@@ -144,7 +144,7 @@ def test_trajectory_constraint_in_a_fit():
     assert fit.uncertainty.active_constraints == ["final(x) >= 0.05"]
 
 
-def test_pareto_front_of_a_design_matches_closed_form():
+def test_pareto_front_of_a_design_matches_closed_form(tmp_path):
     # x' = -k x: area 1/k and effort k^2, so area^2 * effort = 1.
     design = decay(["integral(x)", "k**2"], Scenario(500))
     front = design.pareto(population=20, rng=1, max_evaluations=400)
@@ -153,6 +153,9 @@ def test_pareto_front_of_a_design_matches_closed_form():
     assert front.names == ("integral(x)", "k**2")
     again = design.pareto(population=20, rng=1, max_evaluations=400, workers=2)
     assert again.x.tobytes() == front.x.tobytes()
+    for budget in (150, 400):
+        resumed = design.pareto(population=20, rng=1, max_evaluations=budget, checkpoint=tmp_path / "front")
+    assert resumed.x.tobytes() == front.x.tobytes()
     with pytest.raises(ValueError, match="requires several objectives"):
         decay().pareto()
 

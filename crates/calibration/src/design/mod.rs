@@ -1,7 +1,9 @@
 //! Design optimisation: parameters for which criteria of simulated trajectories are best.
 
+mod front;
 mod result;
 
+pub use front::DesignFront;
 pub use result::DesignResult;
 
 use crate::error::CalibrationError;
@@ -16,7 +18,7 @@ use crate::problem::parameter::Parameter;
 use crate::problem::settings::SimulationSettings;
 use crate::sensitivity::SensitivityOptions;
 use base::RunContext;
-use dfo::{AnyMethod, Nsga2, ParetoFront, Sensitivity};
+use dfo::{AnyMethod, Nsga2, Sensitivity};
 use fmi::Fmu;
 use std::sync::Arc;
 
@@ -176,20 +178,24 @@ impl Design {
         Ok(self.result(fit, &context))
     }
 
-    /// Searches for the Pareto front of the goals by NSGA-II ([`Nsga2`]). The criteria of its points are the
-    /// values to minimise, so a goal to maximise has the opposite sign. Every parameter requires two finite
+    /// Searches for the Pareto front of the goals by NSGA-II ([`Nsga2`]). Every parameter requires two finite
     /// bounds. The [method](FitOptions::run) of the options is replaced unless it is [`AnyMethod::Nsga2`].
     ///
     /// # Errors
     /// Returns an error if there is only one goal, and the errors of [`Calibration::fit`].
-    pub fn pareto<'a>(&self, options: impl Into<FitOptions<'a>>) -> Result<ParetoFront, CalibrationError> {
+    pub fn pareto<'a>(&self, options: impl Into<FitOptions<'a>>) -> Result<DesignFront, CalibrationError> {
         let mut options: FitOptions<'a> = options.into();
         self.check_several()?;
         if !matches!(options.run.method, AnyMethod::Nsga2(_)) {
             options.run.method = Nsga2::default().into();
         }
-        let fit = self.calibration.fit(options)?;
-        Ok(fit.report.front.unwrap_or_default())
+        Ok(self.front(self.calibration.fit(options)?))
+    }
+
+    /// Returns the front of a [fit](Calibration::fit) of the [calibration](Self::calibration) by
+    /// [`Nsga2`]. It is empty if another method searched, or if no design satisfies the constraints.
+    pub fn front(&self, fit: Fit) -> DesignFront {
+        DesignFront::new(&self.calibration, fit)
     }
 
     /// Estimates the effect of each parameter on the goals and on the criteria of each scenario, see

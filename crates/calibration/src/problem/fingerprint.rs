@@ -5,6 +5,7 @@ use crate::error::CalibrationError;
 use crate::expression::Relation;
 use crate::problem::definition::Problem;
 use crate::problem::experiment::{Experiment, InitialState};
+use crate::problem::goal::Goal;
 use crate::problem::input::{InputSource, Signal};
 use crate::problem::parameter::Parameter;
 use ciborium::Value;
@@ -44,8 +45,10 @@ pub(crate) fn identity(
         };
         all.extend(own.into_iter().filter(is_older));
     }
-    for goal in &problem.goals {
-        all.push(("objective".to_owned(), goal.text().to_owned()));
+    if !problem.goals.is_empty() {
+        // Each fact has its own name.
+        let texts: Vec<&str> = problem.goals.iter().map(Goal::text).collect();
+        all.push(("objective".to_owned(), texts.join("; ")));
     }
     if !problem.combination.is_sum() {
         all.push(("combine".to_owned(), problem.combination.name().to_owned()));

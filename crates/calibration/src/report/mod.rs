@@ -4,6 +4,8 @@ mod curves;
 #[cfg(feature = "report")]
 mod figure;
 #[cfg(feature = "report")]
+mod front;
+#[cfg(feature = "report")]
 pub(crate) mod live_content;
 mod number;
 #[cfg(feature = "report")]
@@ -18,6 +20,8 @@ mod text;
 #[cfg(feature = "report")]
 pub use curves::plot;
 pub use curves::{ExperimentCurves, OutputCurves, Signal};
+#[cfg(feature = "report")]
+pub(crate) use front::plot_front;
 
 #[cfg(feature = "report")]
 use {

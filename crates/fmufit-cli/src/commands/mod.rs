@@ -10,6 +10,7 @@ mod jobs;
 mod optimize;
 mod report;
 mod schema;
+mod sensitivity;
 mod simulate;
 mod validate;
 mod variable_text;
@@ -28,6 +29,7 @@ pub(crate) fn run(command: Command, console: &Console) -> Result<Exit, Error> {
         Command::Check(arguments) => check::run(&arguments, console),
         Command::Fit(arguments) => fit::run(&arguments, fit::Begin::Auto, console),
         Command::Optimize(arguments) => optimize::run(&arguments, console),
+        Command::Sensitivity(arguments) => sensitivity::run(&arguments, console),
         Command::Resume(arguments) => fit::run(&arguments, fit::Begin::Resume, console),
         Command::Jobs(arguments) => jobs::run(&arguments, console),
         Command::Report(arguments) => report::run(&arguments, console),

@@ -35,7 +35,8 @@ pub(crate) fn run(arguments: &Report, console: &Console) -> Result<Exit, Error> 
     Ok(Exit::Success)
 }
 
-fn suffix(path: &Path) -> String {
+/// Returns the suffix of a file name, in lower case.
+pub(super) fn suffix(path: &Path) -> String {
     path.extension().map(|suffix| suffix.to_string_lossy().to_lowercase()).unwrap_or_default()
 }
 

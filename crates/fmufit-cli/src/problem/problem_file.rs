@@ -34,8 +34,8 @@ pub(crate) struct ProblemRecord {
     #[serde(default)]
     scenarios: Value,
     /// Objective of a design: a formula over criteria of the simulation, such as `ise(y, 1) + 0.1*max(u)`. It
-    /// is minimised unless it begins with `maximize`.
-    #[schemars(with = "Option<Goal>")]
+    /// is minimised unless it begins with `maximize`. A list of objectives has a Pareto front.
+    #[schemars(schema_with = "objective_schema")]
     #[serde(default)]
     objective: Value,
     /// Combination of the objective over several scenarios.
@@ -75,6 +75,12 @@ fn parameters_schema(generator: &mut SchemaGenerator) -> Schema {
     });
     let all = [generator.subschema_for::<Parameter>(), has_value];
     json_schema!({ "type": "array", "items": { "allOf": all }, "minItems": 1 })
+}
+
+/// Returns the schema of an objective or a list of objectives.
+fn objective_schema(generator: &mut SchemaGenerator) -> Schema {
+    let goal = generator.subschema_for::<Goal>();
+    json_schema!({ "anyOf": [goal, { "type": "array", "items": goal, "minItems": 1 }] })
 }
 
 /// A problem as written.
@@ -263,6 +269,22 @@ impl ProblemFile {
         }
     }
 
+    /// Returns the objectives of a design, with their paths.
+    fn objectives(&self) -> Vec<(String, &Value)> {
+        match self.value("objective") {
+            None => Vec::new(),
+            Some(Value::List(items)) => {
+                items.iter().enumerate().map(|(k, goal)| (item("objective", k), goal)).collect()
+            }
+            Some(goal) => vec![("objective".to_owned(), goal)],
+        }
+    }
+
+    /// True if the problem has several objectives, and thus a Pareto front.
+    pub(crate) fn has_front(&self) -> bool {
+        self.objectives().len() > 1
+    }
+
     /// True if the problem has an objective.
     pub(crate) fn is_design(&self) -> bool {
         self.value("objective").is_some()
@@ -326,9 +348,8 @@ impl ProblemFile {
             let relation = constraint.read::<Relation>("constraint");
             builder = builder.constraint(relation.map_err(|error| self.located(&path, error.into()))?);
         }
-        if let Some(goal) = self.value("objective") {
-            let goal =
-                goal.read::<Goal>("objective").map_err(|error| self.located("objective", error.into()))?;
+        for (path, goal) in self.objectives() {
+            let goal = goal.read::<Goal>("objective").map_err(|error| self.located(&path, error.into()))?;
             builder = builder.goal(goal);
         }
         if let Some(combine) = self.value("combine") {
@@ -364,7 +385,15 @@ impl ProblemFile {
         let at = |error: dfo::Error| self.located("fit", error.into());
         let fields = self.fields("fit")?;
         self.check_names("fit", &fields, FitOptions::option_names().map_err(at)?)?;
-        let mut options = FitOptions::from_record(fields, n_parameters).map_err(at)?;
+        let mut options = match self.has_front() {
+            true if fields.contains_key("method") => {
+                let message = "method: a Pareto front of several objectives is searched by NSGA-II. Remove the method, or give one objective";
+                return Err(self.error("fit.method", message));
+            }
+            true => FitOptions::of_front(fields, n_parameters),
+            false => FitOptions::from_record(fields, n_parameters),
+        }
+        .map_err(at)?;
         if let Some(checkpoint) = &mut options.run.checkpoint {
             checkpoint.path = self.folder.join(&checkpoint.path);
         }

@@ -2,7 +2,7 @@
 
 use crate::support::Folder;
 
-const COMMANDS: [&str; 13] = [
+const COMMANDS: [&str; 14] = [
     "info",
     "validate",
     "simulate",
@@ -10,6 +10,7 @@ const COMMANDS: [&str; 13] = [
     "check",
     "fit",
     "optimize",
+    "sensitivity",
     "resume",
     "jobs",
     "report",

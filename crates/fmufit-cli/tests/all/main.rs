@@ -11,4 +11,5 @@ mod json_schema;
 mod models;
 mod optimize;
 mod schema;
+mod sensitivity;
 mod support;

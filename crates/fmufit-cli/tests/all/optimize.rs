@@ -69,3 +69,40 @@ fn mistakes_in_designs_name_their_line() {
     let error = design(DESIGN).run("fit design.toml").wrong_input();
     assert!(error.contains("Use fmufit optimize"), "{error}");
 }
+
+#[test]
+fn several_objectives_have_a_pareto_front() {
+    let objectives = "objective = [\"integral(x)\", \"maximize -k**2\"]";
+    let text = DESIGN.replace("objective = \"integral(x) + k**2\"", objectives);
+    let folder = design(&text);
+    let command =
+        "optimize design.toml --quiet -O population=16 -O max_evaluations=160 -O rng=1 --checkpoint d.ckpt";
+    let found = json(&folder.run(&format!("{command} --json --report front.csv")).good());
+    let front = found["front"].as_array().unwrap();
+    assert!(front.len() > 5 && found["compromise"].as_u64().unwrap() < front.len() as u64, "{found}");
+    for point in front {
+        let [time, effort] = [0, 1].map(|k| point["objectives"][k].as_f64().unwrap());
+        let k = point["parameters"][0].as_f64().unwrap();
+        // The integral of exp(-k t) from 0 to 50.
+        let expected = (1.0 - (-50.0 * k).exp()) / k;
+        assert!((time / expected - 1.0).abs() < 1e-4 && effort == -k * k, "{point}");
+    }
+    let table = std::fs::read_to_string(folder.path("front.csv")).unwrap();
+    assert!(table.starts_with("integral(x),maximize -k**2,k\n"), "{table}");
+    assert_eq!(table.lines().count(), front.len() + 1);
+    // The checkpoint is complete. The table and the figure have the same designs.
+    let shown = folder.run(&format!("{command} --report front.svg")).good();
+    assert!(shown.starts_with(&format!("Pareto front with {} designs", front.len())), "{shown}");
+    assert!(shown.contains("compromise (nearest") && shown.contains("continued from d.ckpt"), "{shown}");
+    assert!(std::fs::read_to_string(folder.path("front.svg")).unwrap().starts_with("<svg"));
+    for (arguments, expected) in [
+        ("--report front.html", "unknown format of a Pareto front"),
+        ("--watch", "the problem has several"),
+        ("--option method=cma-es", "is searched by NSGA-II"),
+    ] {
+        let error = folder.run(&format!("optimize design.toml {arguments}")).wrong_input();
+        assert!(error.contains(expected), "{error}");
+    }
+    let wrong = design(&text.replace("-k**2", "-q**2")).run("optimize design.toml").wrong_input();
+    assert!(wrong.contains("design.toml, line 2: objective 'maximize -q**2': 'q'"), "{wrong}");
+}
