@@ -23,7 +23,7 @@ endef
 # $(call develop,options): builds the Python module and installs it into .venv.
 develop = @$(BIN)/maturin develop --quiet --manifest-path crates/pydfo/Cargo.toml $(1)
 
-.PHONY: help demo test test-rust test-python test-packaging test-engines test-windows windows-worker test-long lint lint-windows bench bench-dfo doc pictures build fuzz sanitize nightly clean
+.PHONY: help demo test test-rust test-python test-packaging test-engines test-windows test-windows-crates test-windows-fits windows-worker test-long lint lint-windows bench bench-dfo doc pictures build fuzz sanitize nightly clean
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 18
 
@@ -69,17 +69,22 @@ windows-worker:  ## the program that runs models of Windows under Wine, into ~/.
 	@x86_64-w64-mingw32-gcc -O2 -shared -o $(WORKER_FOLDER)/bcryptprimitives.dll tools/bcryptprimitives.c -ladvapi32
 	@echo "wrote $(WORKER_FOLDER)/fmufit-worker.exe"
 
-# The crates whose tests run under Wine. WINDOWS_CRATES="fmi cli" runs those with code for Windows only.
+# The crates whose tests run under Wine.
 WINDOWS_CRATES ?= base ode dfo fmi calibration cli
 WINDOWS_BUILT := target/$(WINDOWS)/debug
 
-test-windows: export WINEPREFIX := $(CURDIR)/target/wine
-test-windows: export WINEDEBUG := -all
-test-windows: $(VENV)/.tools  ## the tests of the crates, fits and faults under Wine; wants wine64, mingw and `rustup target add x86_64-pc-windows-gnu`
-	$(call develop)
+test-windows: test-windows-crates test-windows-fits  ## everything for Windows under Wine; wants wine64, mingw and `rustup target add x86_64-pc-windows-gnu`
+
+test-windows-crates test-windows-fits: export WINEPREFIX := $(CURDIR)/target/wine
+test-windows-crates test-windows-fits: export WINEDEBUG := -all
+test-windows-crates: $(VENV)/.tools  ## the tests of the crates under Wine, of some with WINDOWS_CRATES="base fmi"
 	@bash tools/wine_prefix.sh $(WINE) $(WINEPREFIX)
 	$(call suite,tests under Wine,$(MINGW) CARGO_TARGET_X86_64_PC_WINDOWS_GNU_RUNNER=$(WINE) $(BIN)/python tools/wine_cc.py \
 		cargo test --quiet --target $(WINDOWS) $(addprefix --package fmufit-,$(WINDOWS_CRATES)) --lib --bins --tests)
+
+test-windows-fits: $(VENV)/.tools  ## fits, faults and models for Windows under Wine
+	$(call develop)
+	@bash tools/wine_prefix.sh $(WINE) $(WINEPREFIX)
 	$(call suite,programs for Windows,$(MINGW) cargo build --quiet --target $(WINDOWS) --package fmufit-calibration --package fmufit-cli --bins)
 	$(call suite,fits under Wine,WINE=$(WINE) $(BIN)/python tools/windows_check.py $(WINDOWS_BUILT)/fmufit.exe target/windows-check)
 	@x86_64-w64-mingw32-gcc -O2 -shared -o $(WINDOWS_BUILT)/bcryptprimitives.dll tools/bcryptprimitives.c -ladvapi32

@@ -16,6 +16,7 @@ mod checkpoint_file;
 mod cma_es;
 mod concurrency;
 mod constraints_least_squares;
+mod constraints_nelder_mead;
 mod constraints_populations;
 mod constraints_quadratic_model;
 mod contract;

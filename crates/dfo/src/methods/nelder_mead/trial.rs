@@ -94,10 +94,39 @@ impl Frame<'_> {
                 *u = beside(space, k, raw(k), centroid[k]);
             }
         }
-        if !space.satisfies_rows(&point.u) {
+        if !space.satisfies_rows(&point.u) && !self.mirror_at_rows(&mut point.u) {
             self.shorten(&mut point.u);
         }
         space.to_user(&point.u, &mut point.x);
+    }
+
+    /// Mirrors a point at the linear constraints that it violates, in units of the parameter sizes. Returns
+    /// false, with the point unchanged, if it is then not inside.
+    fn mirror_at_rows(&self, u: &mut [f64]) -> bool {
+        let Self { space, handling, .. } = self;
+        if *handling == BoundsHandling::Clamp {
+            return false;
+        }
+        let mut mirrored = u.to_vec();
+        for row in space.rows() {
+            let excess = row.value(&mirrored) - row.limit;
+            if excess > 0.0 {
+                let square: f64 =
+                    row.normal.iter().enumerate().map(|(k, a)| (a * space.size(k)).powi(2)).sum();
+                for (k, (v, a)) in mirrored.iter_mut().zip(&row.normal).enumerate() {
+                    *v -= 2.0 * excess / square * a * space.size(k).powi(2);
+                }
+            }
+        }
+        let in_bounds = |(k, v): (usize, &f64)| {
+            let (lower, upper) = space.working_bounds(k);
+            lower <= *v && *v <= upper
+        };
+        let is_inside = mirrored.iter().enumerate().all(in_bounds) && space.satisfies_rows(&mirrored);
+        if is_inside {
+            u.copy_from_slice(&mirrored);
+        }
+        is_inside
     }
 
     /// Shortens the way from the centroid to a point that violates linear constraints.

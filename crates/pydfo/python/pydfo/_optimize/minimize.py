@@ -131,8 +131,8 @@ def minimize(
         Nelder-Mead: ``batch`` ("auto", "serial", "ahead" or a number of points), ``coefficients`` ("standard":
         reflection 1, expansion 2, contraction 1/2, shrink 1/2; "adaptive": the coefficients of Gao and Han, which
         depend on n; four numbers; "auto", the default: "standard" below five free parameters, otherwise "adaptive"),
-        ``bounds_handling`` ("sine", the default: the search runs over angles, so that bounds are smooth; "mirror";
-        "clamp"), ``initial_simplex`` (vertices or steps), ``restarts`` (20: maximum number of times that a flat
+        ``bounds_handling`` ("sine", the default: the search runs over angles, so that bounds are smooth; "mirror",
+        also at linear constraints; "clamp"), ``initial_simplex`` (vertices or steps), ``restarts`` (20: maximum number of times that a flat
         simplex, with all vertices nearly in a plane, or a simplex at a kink is rebuilt around its best vertex, as
         long as this lowers the cost; a sound simplex is not rebuilt, so restarts do not find other minima).
 
