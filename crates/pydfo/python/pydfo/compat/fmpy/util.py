@@ -146,7 +146,7 @@ def validate_fmu(filename: PathLike | IO[bytes]) -> list[str]:
 
 _ELSEWHERE = "use the FMPy package for this, because it does not simulate"
 REFUSED = {
-    "add_remoting": "FMUs run only on their own platform; FMUModel.simulate(isolation='process') runs an FMU in a separate process",
+    "add_remoting": "pydfo runs each FMU in a separate process, and models for Windows under Wine",
     "can_simulate": "FMUModel raises FmuError with the reason if an FMU cannot run on this machine",
     "create_cmake_project": "use pydfo.build_fmu to compile the sources of a folder",
     "create_jupyter_notebook": _ELSEWHERE,
@@ -155,8 +155,8 @@ REFUSED = {
     "download_file": "pydfo opens no connections",
     "download_test_file": "pydfo opens no connections",
     "fmu_path_info": "the FMI Cross-Check repository is closed",
-    "has_wine64": "FMUs of other platforms are not supported",
-    "has_wsl": "FMUs of other platforms are not supported",
+    "has_wine64": "pydfo looks for Wine when a model needs it; `fmufit info` shows how a model runs here",
+    "has_wsl": "pydfo does not run FMUs for Linux on Windows",
     "read_ref_opt_file": "the FMI Cross-Check repository is closed",
     "remove_source_code": _ELSEWHERE,
     "sha256_checksum": "hashlib.file_digest",
