@@ -77,7 +77,7 @@ test-windows: test-windows-crates test-windows-fits  ## everything for Windows u
 
 test-windows-crates test-windows-fits: export WINEPREFIX := $(CURDIR)/target/wine
 test-windows-crates test-windows-fits: export WINEDEBUG := -all
-test-windows-crates: $(VENV)/.tools  ## the tests of the crates under Wine, of some with WINDOWS_CRATES="base fmi"
+test-windows-crates: $(VENV)/.tools  ## the tests of the crates under Wine, or of those in WINDOWS_CRATES
 	@bash tools/wine_prefix.sh $(WINE) $(WINEPREFIX)
 	$(call suite,tests under Wine,$(MINGW) CARGO_TARGET_X86_64_PC_WINDOWS_GNU_RUNNER=$(WINE) $(BIN)/python tools/wine_cc.py \
 		cargo test --quiet --target $(WINDOWS) $(addprefix --package fmufit-,$(WINDOWS_CRATES)) --lib --bins --tests)

@@ -108,7 +108,7 @@ pub use problem::warning::{SETUP_LOG_TARGET, SetupWarning};
 #[cfg(feature = "report")]
 pub use report::plot;
 pub use report::{ExperimentCurves, OutputCurves, Signal};
-pub use sensitivity::SensitivityOptions;
+pub use sensitivity::{SensitivityOptions, SensitivityProgress};
 pub use uncertainty::derived_value::DerivedValue;
 pub use uncertainty::diagnostics::lack_of_fit::LackOfFit;
 pub use uncertainty::diagnostics::prior_check::PriorConflict;

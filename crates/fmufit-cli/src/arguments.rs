@@ -77,8 +77,10 @@ pub(crate) enum Command {
             fmufit optimize controller.toml --checkpoint controller.ckpt\n\n\
             The problem file has an objective such as objective = \"itae(e1)\", parameters, and optionally\n\
             constraints and [[scenarios]]. An existing checkpoint is continued.\n\n\
-            A list of objectives has a Pareto front: designs of which none is better in all of them.\n\n\
-            Exits with 1 if the search did not converge or a constraint is violated.")]
+            With a list of objectives, the search returns their Pareto front: designs of which none is better\n\
+            in all of them.\n\n\
+            Exits with 1 if the search did not converge or a constraint is violated. A search for a front\n\
+            exits with 1 only if no design satisfies the constraints.")]
     Optimize(Optimize),
     /// Estimate the effect of each parameter over its whole range, before a fit or a design
     #[command(after_help = "Examples:\n  \
@@ -406,7 +408,7 @@ pub(crate) struct Optimize {
     pub(crate) checkpoint: Option<PathBuf>,
     /// Write a page with tables and figures; for a list of objectives, a table (.csv, .json) or a figure
     /// (.svg)
-    #[arg(short, long, value_name = "FILE.html")]
+    #[arg(short, long, value_name = "FILE")]
     pub(crate) report: Option<PathBuf>,
     /// Show the running search on a local page, whose address is printed. A button on the page ends the
     /// search

@@ -101,6 +101,7 @@ impl Error {
             CalibrationError::Setup(_)
             | CalibrationError::Record(_)
             | CalibrationError::ReportFile { .. }
+            | CalibrationError::OptimiserParameter { .. }
             | CalibrationError::Optimiser(
                 Option { .. } | Checkpoint { .. } | CheckpointFile { .. } | CheckpointMismatch { .. },
             ) => Self::input(visible_error(&error)),

@@ -23,12 +23,14 @@ const EXAMPLES: [&str; 16] =
     ["mm", "degC", "K", "deg", "rpm", "bar", "km/h", "ms", "g", "cm2", "l", "l/min", "kg/h", "kW", "%", "Hz"];
 
 impl ExperimentSubject<'_> {
-    /// Returns the durations of the recording and of the default experiment of the model.
+    /// Returns the durations of the recording and of the default experiment of the model. A scenario of a
+    /// design has no recording.
     pub(super) fn durations(&self) -> Option<(f64, f64)> {
         let suggested = &self.description.default_experiment;
         let requested = suggested.stop_time? - suggested.start_time.unwrap_or(0.0);
         let time = self.experiment.data.time();
-        (requested > 0.0).then(|| (time[time.len() - 1] - time[0], requested))
+        let duration = time.last()? - time.first()?;
+        (requested > 0.0).then_some((duration, requested))
     }
 
     /// Returns a different unit in which values of a variable may be recorded. Returns `None` if the model

@@ -102,7 +102,9 @@ pub(super) fn other_unit(
 pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
     let ExperimentSubject { prefix, experiment, start_time, .. } = subject;
     let (data, mut findings) = (&experiment.data, Vec::new());
-    let (name, first, unit) = (format!("{prefix}{}", data.source()), data.time()[0], data.time_unit());
+    // A scenario of a design has no rows.
+    let Some(&first) = data.time().first() else { return findings };
+    let (name, unit) = (format!("{prefix}{}", data.source()), data.time_unit());
     let is_late = sampling_interval(data.time()).is_some_and(|interval| first - start_time > 1.5 * interval);
     if is_late && experiment.windows.is_empty() {
         let [first, start] = [first, *start_time].map(|time| Number(rounded_time(time)));

@@ -1,6 +1,7 @@
 //! Pareto fronts of designs.
 
 use crate::error::CalibrationError;
+use crate::findings::display_text::visible_line;
 use crate::findings::finding::Finding;
 use crate::fit::one_stage::Fit;
 use crate::loaded::calibration::Calibration;
@@ -117,8 +118,8 @@ impl DesignFront {
         String::from_utf8(bytes).map_err(|e| failed(&e))
     }
 
-    /// Draws each further goal over the first one as SVG, one panel per goal. The compromise is darker.
-    /// Returns `None` if there are no finite values to draw.
+    /// Draws each further goal over the first one as SVG, one panel per goal. The compromise has another
+    /// colour. Returns `None` if there are no finite values to draw.
     #[cfg(feature = "report")]
     pub fn plot(&self) -> Option<String> {
         let values: Vec<Vec<f64>> = self.front.points.iter().map(|point| self.values(point)).collect();
@@ -129,9 +130,10 @@ impl DesignFront {
 impl fmt::Display for DesignFront {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let n = self.front.points.len();
-        write!(f, "Pareto front with {n} designs")?;
+        write!(f, "Pareto front with {n} design{}", if n == 1 { "" } else { "s" })?;
         if n > 0 {
-            let titles: Vec<&String> = self.goals.iter().chain(&self.names).collect();
+            let titles: Vec<String> =
+                self.goals.iter().chain(&self.names).map(|title| visible_line(title).into_owned()).collect();
             let rows: Vec<usize> = match n {
                 0..=MOST_ROWS => (0..n).collect(),
                 // Evenly spaced, with both ends.
@@ -152,7 +154,7 @@ impl fmt::Display for DesignFront {
                 f.write_str("\n ")?;
                 row.zip(&widths).try_for_each(|(cell, width)| write!(f, " {cell:>width$}"))
             };
-            line(f, &mut titles.iter().copied())?;
+            line(f, &mut titles.iter())?;
             cells.iter().try_for_each(|row| line(f, &mut row.iter()))?;
             if n > MOST_ROWS {
                 write!(f, "\n  {MOST_ROWS} of {n} designs are shown")?;
@@ -162,7 +164,10 @@ impl fmt::Display for DesignFront {
             let values = self.values(compromise);
             let of = |names: &[String], values: &[f64]| {
                 let pairs = names.iter().zip(values);
-                pairs.map(|(name, v)| format!("{name} = {:.6}", Number(*v))).collect::<Vec<_>>().join(", ")
+                pairs
+                    .map(|(name, v)| format!("{} = {:.6}", visible_line(name), Number(*v)))
+                    .collect::<Vec<_>>()
+                    .join(", ")
             };
             let (goals, parameters) = (of(&self.goals, &values), of(&self.names, &compromise.x));
             write!(f, "\n  compromise (nearest to the best value of each goal): {goals} at {parameters}")?;

@@ -46,7 +46,7 @@ pub(crate) fn identity(
         all.extend(own.into_iter().filter(is_older));
     }
     if !problem.goals.is_empty() {
-        // Each fact has its own name.
+        // A checkpoint rejects a repeated field, so all goals share one.
         let texts: Vec<&str> = problem.goals.iter().map(Goal::text).collect();
         all.push(("objective".to_owned(), texts.join("; ")));
     }

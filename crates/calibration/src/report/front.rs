@@ -6,7 +6,7 @@ use super::figure::{Panel, Point, Series, draw};
 const PANEL: u32 = 260;
 
 /// Draws each further goal over the first one as SVG. `values` are the goals of each design, and the
-/// `compromise` has another mark. Returns `None` if there are no finite values to draw.
+/// `compromise` has another colour. Returns `None` if there are no finite values to draw.
 pub(crate) fn plot_front(goals: &[String], values: &[Vec<f64>], compromise: Option<usize>) -> Option<String> {
     let (first, others) = goals.split_first()?;
     let panel = |(k, goal): (usize, &String)| {

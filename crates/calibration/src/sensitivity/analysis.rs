@@ -13,10 +13,12 @@ use dfo::{
 use fmi::FmiError;
 use ode::Stats;
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 /// Options of [`Calibration::sensitivity`].
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct SensitivityOptions {
     /// Method with its numbers; default: Morris screening with 10 trajectories.
     pub method: SensitivityMethod,
@@ -32,6 +34,27 @@ pub struct SensitivityOptions {
     pub max_time: Option<Duration>,
     /// File with the completed evaluations. An existing file of the same analysis is continued.
     pub checkpoint: Option<PathBuf>,
+    /// Progress of the analysis, which the analysis updates. Each analysis starts again from 0.
+    pub progress: Arc<SensitivityProgress>,
+}
+
+/// Progress of an analysis, for other threads and for functions that the analysis calls.
+#[derive(Debug, Default)]
+pub struct SensitivityProgress {
+    n_evaluated: AtomicUsize,
+    n_points: AtomicUsize,
+}
+
+impl SensitivityProgress {
+    /// Returns the number of points evaluated so far, without those of a checkpoint.
+    pub fn n_evaluated(&self) -> usize {
+        self.n_evaluated.load(Ordering::Relaxed)
+    }
+
+    /// Returns the number of points of the analysis; 0 before it is known.
+    pub fn n_points(&self) -> usize {
+        self.n_points.load(Ordering::Relaxed)
+    }
 }
 
 impl Default for SensitivityOptions {
@@ -43,6 +66,7 @@ impl Default for SensitivityOptions {
             workers: None,
             max_time: None,
             checkpoint: None,
+            progress: Arc::default(),
         }
     }
 }
@@ -52,6 +76,7 @@ struct Evaluated<'a> {
     calibration: &'a Calibration,
     values: ValuesOf<'a>,
     slots: Slots,
+    progress: &'a SensitivityProgress,
 }
 
 impl Objective for Evaluated<'_> {
@@ -66,6 +91,7 @@ impl Objective for Evaluated<'_> {
             }
             None => Vec::new(),
         };
+        self.progress.n_evaluated.fetch_add(1, Ordering::Relaxed);
     }
 
     fn has_residuals(&self) -> bool {
@@ -138,7 +164,10 @@ impl Calibration {
         let _held = self.hold();
         let workers = options.workers.unwrap_or_else(base::available_cores);
         let Quantities { names: quantity_names, values } = quantities;
-        let evaluated = Evaluated { calibration: self, values, slots: Slots::new(workers.max(1)) };
+        let progress = &*options.progress;
+        progress.n_evaluated.store(0, Ordering::Relaxed);
+        progress.n_points.store(design.points().len(), Ordering::Relaxed);
+        let evaluated = Evaluated { calibration: self, values, slots: Slots::new(workers.max(1)), progress };
         let mut run = dfo::minimize(ByRef(&evaluated)).workers(workers).context(*context);
         if let Some(limit) = options.max_time {
             run = run.max_time(limit);

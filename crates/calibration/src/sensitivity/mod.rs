@@ -4,4 +4,4 @@
 mod analysis;
 mod quantities;
 
-pub use analysis::SensitivityOptions;
+pub use analysis::{SensitivityOptions, SensitivityProgress};

@@ -117,13 +117,17 @@ impl Calibration {
     /// (half the step for a fixed-step method). The context is checked on the calling thread.
     ///
     /// # Errors
-    /// Returns an error if the number of start values is wrong or the simulation fails at the start. Returns
-    /// [`CalibrationError::Cancelled`] if the context has ended.
+    /// Returns an error if the number of start values is wrong, if the simulation fails at the start, or for
+    /// a design, which has no recordings. Returns [`CalibrationError::Cancelled`] if the context has ended.
     pub fn preflight(
         &self,
         options: &PreflightOptions,
         context: &RunContext<'_>,
     ) -> Result<Preflight, CalibrationError> {
+        if !self.problem().goals.is_empty() {
+            let message = "preflight: a design has no recordings. Estimate the effects of the parameters by a sensitivity analysis";
+            return Err(CalibrationError::Setup(message.to_owned()));
+        }
         self.preflight_counted(options, &mut None, context, &mut Stats::default())
     }
 

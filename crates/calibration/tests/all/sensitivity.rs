@@ -28,7 +28,9 @@ fn sensitivity_evaluates_cost_and_error_of_each_output_of_each_experiment() {
     let results = [1, 3].map(|workers| {
         let options =
             SensitivityOptions { method, seed: Some(1), workers: Some(workers), ..Default::default() };
-        calibration.sensitivity(&options, &RunContext::new()).unwrap()
+        let found = calibration.sensitivity(&options, &RunContext::new()).unwrap();
+        assert_eq!((options.progress.n_evaluated(), options.progress.n_points()), (48, 48));
+        found
     });
     assert_eq!(results[0], results[1]);
     let found = &results[0];

@@ -14,6 +14,9 @@ use crate::run::minimize::Minimize;
 use crate::run::report::Report;
 use crate::values::choices::{ParameterKind, Transform};
 
+/// Maximum number of coordinates of all points, which take 2 GiB.
+const MOST_COORDINATES: usize = 1 << 28;
+
 /// The points of a sensitivity analysis. Parameters are sampled uniformly on their scale, linear or
 /// logarithmic. Discrete parameters are rounded so that each integer has an equal share.
 ///
@@ -62,6 +65,11 @@ impl SensitivityDesign {
         let (SensitivityMethod::Morris { n, .. } | SensitivityMethod::Sobol { n, .. }) = method;
         if n < 2 {
             return Err(Error::Option { name: "n", value: n as f64, range: "at least 2" });
+        }
+        let row = method.row_length(space.n_free()).max(2 * space.n_free()).saturating_mul(space.n());
+        if n > MOST_COORDINATES / row.max(1) {
+            let range = "smaller: all points have at most 2^28 coordinates";
+            return Err(Error::Option { name: "n", value: n as f64, range });
         }
         let seed = seed.unwrap_or_else(draw_seed);
         let (points, steps) = match method {

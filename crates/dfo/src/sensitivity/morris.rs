@@ -39,6 +39,9 @@ pub struct MorrisEffects {
     pub mu_star_conf: Vec<f64>,
 }
 
+/// Maximum number of levels of a parameter.
+const MOST_LEVELS: usize = 1_000_000;
+
 /// Returns the points of `n` trajectories, one after the other, and the steps between them.
 pub(super) fn trajectories(
     space: &Space,
@@ -46,8 +49,8 @@ pub(super) fn trajectories(
     levels: usize,
     seed: u64,
 ) -> Result<(Vec<f64>, Vec<Step>), Error> {
-    if levels < 2 || !levels.is_multiple_of(2) {
-        let range = "an even number, at least 2";
+    if !(2..=MOST_LEVELS).contains(&levels) || !levels.is_multiple_of(2) {
+        let range = "an even number from 2 to 1000000";
         return Err(Error::Option { name: "levels", value: levels as f64, range });
     }
     space.forbid_categorical("morris")?;

@@ -54,7 +54,7 @@ pub enum BoundsHandling {
     /// and clamping 84 with 4578.
     #[default]
     Sine,
-    /// Points are mirrored at the bound, repeatedly if necessary.
+    /// Points are mirrored at the bound, repeatedly if necessary, and once at each linear constraint.
     Mirror,
     /// Points are moved onto the bound.
     Clamp,

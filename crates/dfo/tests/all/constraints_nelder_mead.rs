@@ -1,4 +1,4 @@
-//! Nelder-Mead with linear constraints: success is claimed only at minima.
+//! Nelder-Mead with linear constraints: success away from the minimum is rare, and does not occur here.
 #![allow(clippy::unwrap_used)]
 
 use crate::problems::rotated::Random;
@@ -67,4 +67,17 @@ fn false_successes(seeds: std::ops::Range<u64>) -> Vec<(u64, f64, usize)> {
 fn simplex_ends_at_the_minimum_of_quadratic_programs() {
     let wrong = false_successes(0..300);
     assert!(wrong.is_empty(), "{} wrong: {wrong:?}", wrong.len());
+}
+
+/// The reflection of the start is mirrored at the row onto the centroid of the other vertices.
+#[test]
+fn mirrored_points_do_not_flatten_the_simplex() {
+    let row = LinearConstraint { coefficients: vec![1.0; 2], lower: f64::NEG_INFINITY, upper: 1.5 };
+    let report = minimize(|x: &[f64]| (x[0] - 1.0).powi(2) + (x[1] - 1.0).powi(2))
+        .start(&[0.0, 0.0])
+        .constraints(Constraints { linear: vec![row], ..Constraints::default() })
+        .method(NelderMead::default().initial_steps(&[1.0, 1.0]).restarts(0))
+        .run()
+        .unwrap();
+    assert!((report.fun - 0.125).abs() < 1e-5, "{report}");
 }

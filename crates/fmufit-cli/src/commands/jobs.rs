@@ -105,6 +105,11 @@ fn options(
 
 fn init(arguments: &JobsInit, console: &Console) -> Result<Exit, Error> {
     let mut file = ProblemFile::read(&arguments.at.problem)?;
+    if file.is_design() {
+        return Err(Error::input(
+            "jobs run fits, but the problem has an objective and no recordings. Use fmufit optimize",
+        ));
+    }
     let mut given: Record = short_form::options(&arguments.option)?.into_iter().collect();
     given.insert("workers".to_owned(), Value::Count(arguments.jobs));
     file.set("fit", given.clone());

@@ -43,13 +43,25 @@ pub(crate) fn run(arguments: &arguments::Optimize, console: &Console) -> Result<
     let is_interrupted = fit.report.termination == Termination::Interrupted || interrupt.is_requested();
     if file.has_front() {
         let front = design.front(fit);
+        let written = arguments.report.as_ref().map(|path| write_front(&front, path));
         match arguments.json {
-            true => console.data(&(front.to_json().map_err(Error::of_work)? + "\n")),
-            false => console.result(&front.to_string()),
+            // An error is a document, too.
+            true => {
+                written.transpose()?;
+                console.data(&(front.to_json().map_err(Error::of_work)? + "\n"));
+            }
+            false => {
+                console.result(&front.to_string());
+                written.transpose()?;
+            }
         }
         if let Some(path) = &arguments.report {
-            write_front(&front, path)?;
-            console.note(&format!("wrote {}", path.display()));
+            console.note(&match front.is_success() {
+                true => format!("wrote {}", path.display()),
+                false => {
+                    format!("{} was not written, because no design satisfies the constraints", path.display())
+                }
+            });
         }
         return Ok(exit(front.is_success(), is_interrupted));
     }
@@ -92,8 +104,11 @@ fn check_front(arguments: &arguments::Optimize) -> Result<(), Error> {
     }
 }
 
-/// Writes a Pareto front in the format that the suffix determines.
+/// Writes a Pareto front in the format that the suffix determines, unless it is empty.
 fn write_front(front: &DesignFront, path: &Path) -> Result<(), Error> {
+    if !front.is_success() {
+        return Ok(());
+    }
     let text = match &*report::suffix(path) {
         "csv" => front.to_csv().map_err(Error::of_work)?,
         "json" => front.to_json().map_err(Error::of_work)?,

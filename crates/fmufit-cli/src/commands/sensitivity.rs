@@ -6,8 +6,9 @@ use crate::error::{Error, Exit};
 use crate::interrupt::Interrupt;
 use crate::output_paths::check_written;
 use crate::problem;
-use calibration::{RunContext, SensitivityOptions, visible_line};
+use calibration::{RunContext, SensitivityOptions, SensitivityProgress, visible_line};
 use dfo::{IntervalOptions, SensitivityMethod};
+use std::sync::Arc;
 use std::time::Duration;
 
 pub(crate) fn run(arguments: &arguments::Sensitivity, console: &Console) -> Result<Exit, Error> {
@@ -17,8 +18,17 @@ pub(crate) fn run(arguments: &arguments::Sensitivity, console: &Console) -> Resu
     let interrupt = Interrupt::watch()?;
     let is_requested = || interrupt.is_requested();
     let calibration = file.calibration(&RunContext::new().polling(&is_requested))?;
+    // The analysis has its own options. This reports mistakes in those of the file.
+    file.options(calibration.parameters().len())?;
     let line = console.live_line();
-    let shown = || line.show_until(interrupt.is_requested(), "simulating");
+    let shown = || {
+        let is_requested = interrupt.is_requested();
+        match is_requested {
+            true => line.end(),
+            false => line.show("simulating", || progress_of(&options.progress)),
+        }
+        is_requested
+    };
     let found = calibration.sensitivity(&options, &RunContext::new().polling(&shown));
     drop(line);
     let found = found.map_err(Error::of_work)?;
@@ -27,6 +37,13 @@ pub(crate) fn run(arguments: &arguments::Sensitivity, console: &Console) -> Resu
         false => console.result(&found.to_text(|name| visible_line(name).into_owned())),
     }
     Ok(if interrupt.is_requested() { Exit::Interrupted } else { Exit::Success })
+}
+
+fn progress_of(progress: &SensitivityProgress) -> String {
+    match progress.n_points() {
+        0 => String::new(),
+        n => format!("{} of at most {n} points", progress.n_evaluated()),
+    }
 }
 
 /// Returns the options of the analysis.
@@ -65,5 +82,6 @@ fn options(arguments: &arguments::Sensitivity) -> Result<SensitivityOptions, Err
         workers: arguments.workers,
         max_time: max_time.transpose()?,
         checkpoint: arguments.checkpoint.clone(),
+        progress: Arc::default(),
     })
 }

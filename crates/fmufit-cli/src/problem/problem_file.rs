@@ -21,12 +21,14 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Default, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(title = "fmufit problem file")]
+#[schemars(extend("anyOf" = [{ "required": ["experiments"] }, { "required": ["objective"] }]))]
 pub(crate) struct ProblemRecord {
     /// Path of the FMU.
     #[schemars(with = "PathBuf")]
     model: Value,
     /// Recordings, and how the model should reproduce them.
     #[schemars(with = "Vec<ExperimentRecord>", length(min = 1))]
+    #[serde(default)]
     experiments: Value,
     /// Scenarios of a design: inputs, start values and the span of a simulation each. They replace
     /// `experiments`.
@@ -34,7 +36,8 @@ pub(crate) struct ProblemRecord {
     #[serde(default)]
     scenarios: Value,
     /// Objective of a design: a formula over criteria of the simulation, such as `ise(y, 1) + 0.1*max(u)`. It
-    /// is minimised unless it begins with `maximize`. A list of objectives has a Pareto front.
+    /// is minimised unless it begins with `maximize`. With a list of objectives, the search returns their
+    /// Pareto front.
     #[schemars(schema_with = "objective_schema")]
     #[serde(default)]
     objective: Value,
@@ -347,6 +350,10 @@ impl ProblemFile {
         for (path, constraint) in self.constraints()? {
             let relation = constraint.read::<Relation>("constraint");
             builder = builder.constraint(relation.map_err(|error| self.located(&path, error.into()))?);
+        }
+        if self.is_design() && self.objectives().is_empty() {
+            let message = "objective: the list is empty. Give at least one formula, such as \"ise(y, 1)\"";
+            return Err(self.error("objective", message));
         }
         for (path, goal) in self.objectives() {
             let goal = goal.read::<Goal>("objective").map_err(|error| self.located(&path, error.into()))?;

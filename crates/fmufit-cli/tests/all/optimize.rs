@@ -66,7 +66,12 @@ fn mistakes_in_designs_name_their_line() {
         let error = design(&DESIGN.replacen(from, to, 1)).run("optimize design.toml").wrong_input();
         assert!(error.contains(expected), "{error}");
     }
-    let error = design(DESIGN).run("fit design.toml").wrong_input();
+    let folder = design(DESIGN);
+    assert!(folder.run("check design.toml").good().contains("nothing found"));
+    let error = folder.run("check design.toml --preflight --quiet").wrong_input();
+    assert!(error.contains("preflight: a design has no recordings"), "{error}");
+    assert!(folder.run("jobs init design.toml --jobs 1").wrong_input().contains("Use fmufit optimize"));
+    let error = folder.run("fit design.toml").wrong_input();
     assert!(error.contains("Use fmufit optimize"), "{error}");
 }
 
@@ -103,6 +108,14 @@ fn several_objectives_have_a_pareto_front() {
         let error = folder.run(&format!("optimize design.toml {arguments}")).wrong_input();
         assert!(error.contains(expected), "{error}");
     }
+    let infeasible = text.replace("[[parameters]]", "constraints = [\"final(x) >= 2\"]\n[[parameters]]");
+    let ran = design(&infeasible)
+        .run("optimize design.toml -O max_evaluations=40 -O population=10 --json --report f.svg");
+    assert_eq!((ran.code, json(&ran.out)["front"].as_array().map(Vec::len)), (1, Some(0)), "{ran:?}");
+    assert!(ran.err.contains("f.svg was not written, because no design satisfies"), "{ran:?}");
+    let empty =
+        design(&text.replace("[\"integral(x)\", \"maximize -k**2\"]", "[]")).run("optimize design.toml");
+    assert!(empty.wrong_input().contains("design.toml, line 2: objective: the list is empty"));
     let wrong = design(&text.replace("-k**2", "-q**2")).run("optimize design.toml").wrong_input();
     assert!(wrong.contains("design.toml, line 2: objective 'maximize -q**2': 'q'"), "{wrong}");
 }

@@ -34,7 +34,15 @@ fn problem_files_follow_their_schema() {
     // The example of the documentation.
     let page = include_str!("../../../../docs/command-line.md");
     let documented = page.split_once("```toml title=\"tank.toml\"\n").unwrap().1.split_once("```").unwrap().0;
-    for text in [PROBLEM, &written, &uncommented, &whole, documented] {
+    let controller = include_str!("../../../../docs/design.md");
+    let controller =
+        controller.split_once("```toml title=\"controller.toml\"\n").unwrap().1.split_once("```").unwrap().0;
+    let several = controller.replacen("objective = ", "objective = [\"max(u1)\", ", 1).replacen(
+        "\nconstraints",
+        "]\nconstraints",
+        1,
+    );
+    for text in [PROBLEM, &written, &uncommented, &whole, documented, controller, &several] {
         let errors = schema.errors(&document(text));
         assert!(errors.is_empty(), "{text}\n{errors:?}");
     }
@@ -131,6 +139,7 @@ fn schema_and_program_reject_the_same_documents() {
         ("outputs = { x = \"x\" }", "outputs = { x = \"x\" }\nweights = { x = -1 }"),
         ("outputs = { x = \"x\" }", "outputs = { x = \"x\" }\nweights = { x = 0 }"),
         ("[[experiments]]\ndata = \"run.csv\"\noutputs = { x = \"x\" }\n", "experiments = []\n"),
+        ("[[experiments]]\ndata = \"run.csv\"\noutputs = { x = \"x\" }\n", ""),
         ("start = 1.0\n", ""),
         ("name = \"k\"\n", ""),
         ("[[parameters]]\nname = \"k\"\nstart = 1.0\nlower = 0.1\nupper = 10\n", "[fit]\n"),

@@ -47,14 +47,17 @@ fn mistakes_are_named() {
         ("design.toml -n 1", "at least 2"),
         ("design.toml --level 2", "between 0 and 1"),
         ("design.toml --method fast", "possible values: morris, sobol"),
+        ("design.toml -n 1000000000000", "at most 2^28 coordinates"),
+        ("design.toml --method sobol -n 18446744073709551615", "at most 2^28 coordinates"),
+        ("design.toml --levels 1000000000000", "an even number from 2 to 1000000"),
     ] {
         let ran = folder.run(&format!("sensitivity {arguments}"));
-        assert!(ran.code != 0 && ran.err.contains(expected), "{arguments}: {ran:?}");
+        assert!(ran.code == 2 && ran.err.contains(expected), "{arguments}: {ran:?}");
     }
     folder.write(
         "open.toml",
         &std::fs::read_to_string(folder.path("fit.toml")).unwrap().replace("upper = 10\n", ""),
     );
-    let ran = folder.run("sensitivity open.toml");
-    assert!(ran.code != 0 && ran.err.contains("'k'") && ran.err.contains("bounds"), "{ran:?}");
+    let error = folder.run("sensitivity open.toml").wrong_input();
+    assert!(error.contains("'k'") && error.contains("requires finite bounds"), "{error}");
 }

@@ -22,7 +22,15 @@ pub(crate) fn calibration_sensitivity<'py>(
 ) -> PyResult<Bound<'py, PyDict>> {
     let (method, intervals) = method_of(py, analysis)?;
     let max_time = time_limit("max_time", max_time)?;
-    let options = SensitivityOptions { method, intervals, seed, workers, max_time, checkpoint };
+    let options = SensitivityOptions {
+        method,
+        intervals,
+        seed,
+        workers,
+        max_time,
+        checkpoint,
+        ..SensitivityOptions::default()
+    };
     let work = move |calibration: &calibration::Calibration, context: &RunContext<'_>| {
         calibration.sensitivity(&options, context)
     };

@@ -6,14 +6,16 @@
 //! from Gao and Han (Comput. Optim. Appl. 51, 2012). For bounds, see
 //! [`BoundsHandling`](crate::BoundsHandling).
 //!
-//! **Linear constraints.** Bounds are treated by clamping. The way from the centroid to a trial point ends at
-//! the first constraint that it meets. If this is (nearly) at the centroid, because the other vertices are on
-//! the constraint, the point is the middle between the centroid and the worst vertex. The simplex then
-//! approaches the constraint without becoming flat on it. A simplex that ends on a constraint is rebuilt as
-//! on a kink (below), because it may have collapsed along it. On random convex quadratic programs with 2 to 4
-//! parameters and 1 to 6 constraints, 48 of 6000 runs still report success away from the minimum
-//! (`benches/quadratic_programs.rs`). Nonlinear constraints are not supported: ranking vertices by
-//! feasibility first makes the simplex flat along the constraint, away from the minimum.
+//! **Linear constraints.** Trial points are mirrored at bounds and at constraints. If a point is then not
+//! inside, or is at another vertex, the way from the centroid to it ends at the first constraint that it
+//! meets. If this is (nearly) at the centroid, because the other vertices are on the constraint, the point is
+//! the middle between the centroid and the worst vertex. The simplex then approaches the constraint without
+//! becoming flat on it. A simplex that ends on a constraint is rebuilt as on a kink (below), because it may
+//! have collapsed along it. On random convex quadratic programs with 2 to 4 parameters and 1 to 6
+//! constraints, one of 6000 runs still reports success away from the minimum
+//! (`benches/quadratic_programs.rs`); 48 do if points are moved onto bounds and constraints. Nonlinear
+//! constraints are not supported: ranking vertices by feasibility first makes the simplex flat along the
+//! constraint, away from the minimum.
 //!
 //! **Failures.** A failed vertex ranks after every vertex with a cost. Among failed vertices, the newest
 //! ranks last. The last vertex is replaced as always, but the centroid includes only the finite ones among

@@ -94,15 +94,16 @@ impl Frame<'_> {
                 *u = beside(space, k, raw(k), centroid[k]);
             }
         }
-        if !space.satisfies_rows(&point.u) && !self.mirror_at_rows(&mut point.u) {
+        if !space.satisfies_rows(&point.u) && !self.mirror_at_rows(&mut point.u, is_vertex) {
             self.shorten(&mut point.u);
         }
         space.to_user(&point.u, &mut point.x);
     }
 
     /// Mirrors a point at the linear constraints that it violates, in units of the parameter sizes. Returns
-    /// false, with the point unchanged, if it is then not inside.
-    fn mirror_at_rows(&self, u: &mut [f64]) -> bool {
+    /// false, with the point unchanged, if it is then not inside, or (nearly) at the centroid or at a
+    /// remaining vertex, where the simplex would become flat.
+    fn mirror_at_rows(&self, u: &mut [f64], is_vertex: impl Fn(&[f64]) -> bool) -> bool {
         let Self { space, handling, .. } = self;
         if *handling == BoundsHandling::Clamp {
             return false;
@@ -123,21 +124,25 @@ impl Frame<'_> {
             lower <= *v && *v <= upper
         };
         let is_inside = mirrored.iter().enumerate().all(in_bounds) && space.satisfies_rows(&mirrored);
-        if is_inside {
+        let is_apart = self.distance(&mirrored) > NEARLY * self.distance(u) && !is_vertex(&mirrored);
+        if is_inside && is_apart {
             u.copy_from_slice(&mirrored);
         }
-        is_inside
+        is_inside && is_apart
+    }
+
+    /// Returns the distance from the centroid, in units of the parameter sizes.
+    fn distance(&self, u: &[f64]) -> f64 {
+        let terms = u.iter().zip(self.centroid).enumerate();
+        terms.map(|(k, (u, c))| ((u - c) / self.space.size(k)).powi(2)).sum::<f64>().sqrt()
     }
 
     /// Shortens the way from the centroid to a point that violates linear constraints.
     fn shorten(&self, u: &mut [f64]) {
         let Self { space, centroid, worst, .. } = self;
-        let length = |u: &[f64]| -> f64 {
-            u.iter().zip(*centroid).enumerate().map(|(k, (u, c))| ((u - c) / space.size(k)).powi(2)).sum()
-        };
-        let before = length(u);
+        let before = self.distance(u);
         space.shorten(centroid, u);
-        if length(u) <= NEARLY * NEARLY * before {
+        if self.distance(u) <= NEARLY * before {
             // The other vertices are on the constraint.
             u.iter_mut().enumerate().for_each(|(k, u)| *u = 0.5 * centroid[k] + 0.5 * worst[k]);
             space.restore(u);
