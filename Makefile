@@ -23,7 +23,7 @@ endef
 # $(call develop,options): builds the Python module and installs it into .venv.
 develop = @$(BIN)/maturin develop --quiet --manifest-path crates/pydfo/Cargo.toml $(1)
 
-.PHONY: help demo test test-rust test-python test-packaging test-engines test-windows test-windows-crates test-windows-fits windows-worker test-long lint lint-windows bench bench-dfo doc pictures build fuzz sanitize nightly clean
+.PHONY: help demo test test-rust test-python test-packaging test-engines test-windows windows-crates wine-crates wine-fits windows-worker test-long lint lint-windows bench bench-dfo doc pictures build fuzz sanitize nightly clean
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 18
 
@@ -73,16 +73,27 @@ windows-worker:  ## the program that runs models of Windows under Wine, into ~/.
 WINDOWS_CRATES ?= base ode dfo fmi calibration cli
 WINDOWS_BUILT := target/$(WINDOWS)/debug
 
-test-windows: test-windows-crates test-windows-fits  ## everything for Windows under Wine; wants wine64, mingw and `rustup target add x86_64-pc-windows-gnu`
+# $(call under_wine,targets): makes them where Wine, MinGW and the Rust target are installed.
+define under_wine
+@if [ -x "$(WINE)" ] && command -v x86_64-w64-mingw32-gcc >/dev/null && rustup target list --installed | grep -q $(WINDOWS); \
+then $(MAKE) --no-print-directory $(1); \
+else echo "skipped $@: it needs wine64, mingw-w64 and rustup target add $(WINDOWS)"; fi
+endef
 
-test-windows-crates test-windows-fits: export WINEPREFIX := $(CURDIR)/target/wine
-test-windows-crates test-windows-fits: export WINEDEBUG := -all
-test-windows-crates: $(VENV)/.tools  ## the tests of the crates under Wine, or of those in WINDOWS_CRATES
+test-windows:  ## everything for Windows under Wine; skipped without wine64, mingw and `rustup target add x86_64-pc-windows-gnu`
+	$(call under_wine,wine-crates wine-fits)
+
+windows-crates:  ## its first part, the tests of the crates, or of those in WINDOWS_CRATES
+	$(call under_wine,wine-crates)
+
+wine-crates wine-fits: export WINEPREFIX := $(CURDIR)/target/wine
+wine-crates wine-fits: export WINEDEBUG := -all
+wine-crates: $(VENV)/.tools
 	@bash tools/wine_prefix.sh $(WINE) $(WINEPREFIX)
 	$(call suite,tests under Wine,$(MINGW) CARGO_TARGET_X86_64_PC_WINDOWS_GNU_RUNNER=$(WINE) $(BIN)/python tools/wine_cc.py \
 		cargo test --quiet --target $(WINDOWS) $(addprefix --package fmufit-,$(WINDOWS_CRATES)) --lib --bins --tests)
 
-test-windows-fits: $(VENV)/.tools  ## fits, faults and models for Windows under Wine
+wine-fits: $(VENV)/.tools
 	$(call develop)
 	@bash tools/wine_prefix.sh $(WINE) $(WINEPREFIX)
 	$(call suite,programs for Windows,$(MINGW) cargo build --quiet --target $(WINDOWS) --package fmufit-calibration --package fmufit-cli --bins)

@@ -2,8 +2,6 @@
 
 #![allow(clippy::unwrap_used)]
 
-use crate::support;
-
 use calibration::{
     BoundSide, Calibration, CalibrationBuilder, Data, Experiment, FitOptions, Parameter, SetupWarning,
     Severity,
@@ -118,7 +116,7 @@ fn parameter_without_effect_is_reported_with_every_budget() {
 #[test]
 #[cfg(target_os = "linux")]
 fn outputs_that_are_not_single_results_are_rejected() {
-    let folder = support::faulty(&[]);
+    let folder = crate::support::faulty(&[]);
     let description = folder.path().join("modelDescription.xml");
     let text = std::fs::read_to_string(&description).unwrap();
     std::fs::write(&description, text.replace("name=\"time\"", "name=\"clock\"")).unwrap();
