@@ -2,7 +2,6 @@
 
 use crate::error::CalibrationError;
 use crate::findings::display_text::visible_line;
-use crate::findings::finding::Finding;
 use crate::fit::one_stage::Fit;
 use crate::loaded::calibration::Calibration;
 use base::Number;
@@ -13,18 +12,13 @@ use std::fmt;
 /// Result of [`Design::pareto`](crate::Design::pareto). `Display` prints a table.
 #[derive(Debug, Clone)]
 pub struct DesignFront {
-    /// Names of the parameters.
-    pub names: Vec<String>,
-    /// Units of the parameters, if the model states them.
-    pub units: Vec<Option<String>>,
     /// The goals as written.
     pub goals: Vec<String>,
     /// Designs of which none is better in all goals. Their criteria are the values to minimise, so a goal to
     /// maximise has the opposite sign; see [`values`](Self::values).
     pub front: ParetoFront,
-    /// Findings about the search and the model.
-    pub findings: Vec<Finding>,
-    /// Search and simulations. Its parameters are those of the best value of the first goal.
+    /// Search and simulations, with the names and units of the parameters. Its own parameters are those of
+    /// the best value of the first goal.
     pub fit: Fit,
     /// True for goals that are maximised.
     is_maximum: Vec<bool>,
@@ -37,11 +31,8 @@ impl DesignFront {
     pub(super) fn new(calibration: &Calibration, mut fit: Fit) -> Self {
         let goals = &calibration.problem().goals;
         Self {
-            names: fit.names.clone(),
-            units: fit.units.clone(),
             goals: goals.iter().map(|goal| goal.text().to_owned()).collect(),
             front: fit.report.front.take().unwrap_or_default(),
-            findings: fit.setup_findings.clone(),
             fit,
             is_maximum: goals.iter().map(|goal| goal.is_maximum()).collect(),
         }
@@ -72,10 +63,10 @@ impl DesignFront {
                 "constraint_violation": point.constr_violation,
             })
         });
-        let parameters = self.names.iter().zip(&self.units);
+        let parameters = self.fit.names.iter().zip(&self.fit.units);
         let parameters = parameters.map(|(name, unit)| json!({ "name": name, "unit": unit }));
         let report = &self.fit.report;
-        let findings: Vec<String> = self.findings.iter().map(ToString::to_string).collect();
+        let findings: Vec<String> = self.fit.setup_findings.iter().map(ToString::to_string).collect();
         let document = json!({
             "objectives": self.goals,
             "parameters": parameters.collect::<Vec<Json>>(),
@@ -108,7 +99,7 @@ impl DesignFront {
         let failed =
             |e: &dyn fmt::Display| CalibrationError::Setup(format!("the front cannot be written: {e}"));
         let mut writer = csv::Writer::from_writer(Vec::new());
-        writer.write_record(self.goals.iter().chain(&self.names)).map_err(|e| failed(&e))?;
+        writer.write_record(self.goals.iter().chain(&self.fit.names)).map_err(|e| failed(&e))?;
         for point in &self.front.points {
             let values = self.values(point);
             let row = values.iter().chain(&point.x).map(|value| Number(*value).to_string());
@@ -132,21 +123,19 @@ impl fmt::Display for DesignFront {
         let n = self.front.points.len();
         write!(f, "Pareto front with {n} design{}", if n == 1 { "" } else { "s" })?;
         if n > 0 {
-            let titles: Vec<String> =
-                self.goals.iter().chain(&self.names).map(|title| visible_line(title).into_owned()).collect();
+            let titles = self.goals.iter().chain(&self.fit.names);
+            let titles: Vec<String> = titles.map(|title| visible_line(title).into_owned()).collect();
             let rows: Vec<usize> = match n {
                 0..=MOST_ROWS => (0..n).collect(),
                 // Evenly spaced, with both ends.
                 _ => (0..MOST_ROWS).map(|k| k * (n - 1) / (MOST_ROWS - 1)).collect(),
             };
-            let cells = rows.iter().map(|row| {
+            let cells = |row: &usize| -> Vec<String> {
                 let point = &self.front.points[*row];
-                let row: Vec<String> = (self.values(point).iter().chain(&point.x))
-                    .map(|value| format!("{:.6}", Number(*value)))
-                    .collect();
-                row
-            });
-            let cells: Vec<Vec<String>> = cells.collect();
+                let values = self.values(point);
+                values.iter().chain(&point.x).map(|value| format!("{:.6}", Number(*value))).collect()
+            };
+            let cells: Vec<Vec<String>> = rows.iter().map(cells).collect();
             let width = |k: usize| cells.iter().map(|row| row[k].chars().count()).max().unwrap_or(0);
             let widths: Vec<usize> =
                 titles.iter().enumerate().map(|(k, title)| title.chars().count().max(width(k))).collect();
@@ -169,7 +158,7 @@ impl fmt::Display for DesignFront {
                     .collect::<Vec<_>>()
                     .join(", ")
             };
-            let (goals, parameters) = (of(&self.goals, &values), of(&self.names, &compromise.x));
+            let (goals, parameters) = (of(&self.goals, &values), of(&self.fit.names, &compromise.x));
             write!(f, "\n  compromise (nearest to the best value of each goal): {goals} at {parameters}")?;
         }
         let report = &self.fit.report;
@@ -177,7 +166,7 @@ impl fmt::Display for DesignFront {
         if let Some(resumed) = &report.resumed {
             write!(f, "\n  {resumed}")?;
         }
-        for finding in &self.findings {
+        for finding in &self.fit.setup_findings {
             write!(f, "\n  {finding}")?;
         }
         Ok(())

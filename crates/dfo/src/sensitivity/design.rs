@@ -66,8 +66,7 @@ impl SensitivityDesign {
         if n < 2 {
             return Err(Error::Option { name: "n", value: n as f64, range: "at least 2" });
         }
-        let row = method.row_length(space.n_free()).max(2 * space.n_free()).saturating_mul(space.n());
-        if n > MOST_COORDINATES / row.max(1) {
+        if n > MOST_COORDINATES / (method.row_length(space.n_free()) * space.n()) {
             let range = "smaller: all points have at most 2^28 coordinates";
             return Err(Error::Option { name: "n", value: n as f64, range });
         }

@@ -43,25 +43,21 @@ pub(crate) fn run(arguments: &arguments::Optimize, console: &Console) -> Result<
     let is_interrupted = fit.report.termination == Termination::Interrupted || interrupt.is_requested();
     if file.has_front() {
         let front = design.front(fit);
-        let written = arguments.report.as_ref().map(|path| write_front(&front, path));
-        match arguments.json {
-            // An error is a document, too.
-            true => {
-                written.transpose()?;
-                console.data(&(front.to_json().map_err(Error::of_work)? + "\n"));
-            }
-            false => {
-                console.result(&front.to_string());
-                written.transpose()?;
-            }
+        if !arguments.json {
+            console.result(&front.to_string());
         }
         if let Some(path) = &arguments.report {
+            write_front(&front, path)?;
             console.note(&match front.is_success() {
                 true => format!("wrote {}", path.display()),
                 false => {
                     format!("{} was not written, because no design satisfies the constraints", path.display())
                 }
             });
+        }
+        // Printed last, because an error is a JSON document, too.
+        if arguments.json {
+            console.data(&(front.to_json().map_err(Error::of_work)? + "\n"));
         }
         return Ok(exit(front.is_success(), is_interrupted));
     }

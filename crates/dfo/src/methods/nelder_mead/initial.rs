@@ -45,13 +45,6 @@ pub(super) fn bring_into_rows(simplex: &mut RankedPoints, base: usize, slot: usi
         return;
     }
     let from = simplex.u(base).to_vec();
-    let is_inside = |v: &[f64]| {
-        let in_bounds = |(k, v): (usize, &f64)| {
-            let (lower, upper) = space.working_bounds(k);
-            lower <= *v && *v <= upper
-        };
-        v.iter().enumerate().all(in_bounds) && space.satisfies_rows(v)
-    };
     let edge: Vec<f64> = u.iter().zip(&from).map(|(u, from)| u - from).collect();
     let length = |edge: &mut dyn Iterator<Item = f64>| {
         edge.enumerate().map(|(k, e)| (e / space.size(k)).powi(2)).sum::<f64>().sqrt()
@@ -60,7 +53,7 @@ pub(super) fn bring_into_rows(simplex: &mut RankedPoints, base: usize, slot: usi
         start.iter().zip(&edge).map(|(start, e)| start + sign * e).collect()
     };
     let mut found = moved(&from, -1.0);
-    if !is_inside(&found) {
+    if !space.holds(&found) {
         let inward: Vec<f64> =
             space.interior().iter().zip(&from).map(|(inside, from)| inside - from).collect();
         let distance = length(&mut inward.iter().copied());

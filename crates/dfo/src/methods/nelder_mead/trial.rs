@@ -119,16 +119,12 @@ impl Frame<'_> {
                 }
             }
         }
-        let in_bounds = |(k, v): (usize, &f64)| {
-            let (lower, upper) = space.working_bounds(k);
-            lower <= *v && *v <= upper
-        };
-        let is_inside = mirrored.iter().enumerate().all(in_bounds) && space.satisfies_rows(&mirrored);
         let is_apart = self.distance(&mirrored) > NEARLY * self.distance(u) && !is_vertex(&mirrored);
-        if is_inside && is_apart {
+        let is_usable = is_apart && space.holds(&mirrored);
+        if is_usable {
             u.copy_from_slice(&mirrored);
         }
-        is_inside && is_apart
+        is_usable
     }
 
     /// Returns the distance from the centroid, in units of the parameter sizes.

@@ -60,6 +60,15 @@ impl Space {
         self.linear.rows.iter().all(|row| row.contains(u))
     }
 
+    /// True if a point is in the bounds and satisfies all rows, without a tolerance.
+    pub(crate) fn holds(&self, u: &[f64]) -> bool {
+        let in_bounds = |(k, v): (usize, &f64)| {
+            let (lower, upper) = self.working_bounds(k);
+            lower <= *v && *v <= upper
+        };
+        u.iter().enumerate().all(in_bounds) && self.satisfies_rows(u)
+    }
+
     /// True if a point given by the user is in the bounds and satisfies the linear constraints up to
     /// rounding.
     pub(crate) fn admits(&self, x: &[f64]) -> bool {

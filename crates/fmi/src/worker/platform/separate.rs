@@ -14,7 +14,7 @@ use crate::worker::handshake::{Start, no_worker};
 use crate::worker::launcher::Launcher;
 use std::collections::BTreeMap;
 use std::io::{self, PipeWriter};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, ExitStatus};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -64,6 +64,16 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+fn check_length(folder: &Path) -> io::Result<()> {
+    if folder.as_os_str().len() <= LONGEST_FOLDER {
+        return Ok(());
+    }
+    let path = folder.display();
+    Err(io::Error::other(format!(
+        "TMPDIR: the path {path} has more than {LONGEST_FOLDER} bytes, the maximum on Windows"
+    )))
+}
+
 impl Starter {
     pub(in crate::worker) fn start(launcher: &Launcher) -> Result<Self, FmiError> {
         let folder = Folder::of_starter().map_err(no_worker)?;
@@ -89,15 +99,7 @@ impl Starter {
         let mut workers = locked(&self.workers);
         let number = workers.n_started + 1;
         let folder = worker_folder(self.folder.path(), number);
-        let begun = make(&folder).and_then(|()| {
-            if folder.as_os_str().len() > LONGEST_FOLDER {
-                remove(&folder);
-                let problem = format!(
-                    "TMPDIR: the path {} has more than {LONGEST_FOLDER} bytes, the maximum on Windows",
-                    folder.display()
-                );
-                return Err(io::Error::other(problem));
-            }
+        let begun = check_length(&folder).and_then(|()| make(&folder)).and_then(|()| {
             let begun = begin(&self.launcher, start, printed, &folder);
             begun.inspect_err(|_| remove(&folder))
         });
