@@ -8,7 +8,9 @@ SITE   := target/site-venv
 ENGINES := target/engines-venv
 WINDOWS := x86_64-pc-windows-gnu
 MINGW := CARGO_TARGET_X86_64_PC_WINDOWS_GNU_LINKER=x86_64-w64-mingw32-gcc
-WORKER_FOLDER ?= $(or $(XDG_DATA_HOME),$(HOME)/.local/share)/fmufit/windows
+WINDOWS_32 := i686-pc-windows-gnu
+MINGW_32 := CARGO_TARGET_I686_PC_WINDOWS_GNU_LINKER=i686-w64-mingw32-gcc
+WORKER_FOLDER ?= $(or $(XDG_DATA_HOME),$(HOME)/.local/share)/fmufit
 WINE ?= $(or $(shell command -v wine64),/usr/lib/wine/wine64)
 # The extension module is left to the interpreter to link.
 export PYO3_BUILD_EXTENSION_MODULE := 1
@@ -23,7 +25,7 @@ endef
 # $(call develop,options): builds the Python module and installs it into .venv.
 develop = @$(BIN)/maturin develop --quiet --manifest-path crates/pydfo/Cargo.toml $(1)
 
-.PHONY: help demo test test-rust test-python test-packaging test-engines test-windows windows-crates wine-crates wine-fits windows-worker test-long lint lint-windows bench bench-dfo doc pictures build fuzz sanitize nightly clean
+.PHONY: help demo test test-rust test-python test-packaging test-engines test-windows windows-crates wine-crates wine-fits windows-worker windows-worker-32 test-long lint lint-windows bench bench-dfo doc pictures build fuzz sanitize nightly clean
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 18
 
@@ -63,11 +65,22 @@ test-engines: $(VENV)/.tools $(ENGINES)/.done  ## fits on Dask, Ray, IPyParallel
 	@VIRTUAL_ENV=$(CURDIR)/$(ENGINES) $(BIN)/maturin develop --quiet --manifest-path crates/pydfo/Cargo.toml
 	$(call suite,engines,$(ENGINES)/bin/python -m pytest -q -rs crates/pydfo/tests/test_executors.py)
 
+# $(call worker,folder,target,compiler,variables): builds the worker program of a target.
+define worker
+	$(call suite,worker for $(1),$(4) cargo build --quiet --profile quick --target $(2) --package fmufit-calibration --bin fmufit-worker)
+	@mkdir -p $(WORKER_FOLDER)/$(1) && cp target/$(2)/quick/fmufit-worker.exe $(WORKER_FOLDER)/$(1)
+	@$(3) -O2 -shared -o $(WORKER_FOLDER)/$(1)/bcryptprimitives.dll tools/bcryptprimitives.c -ladvapi32 -Wl,--kill-at
+	@echo "wrote $(WORKER_FOLDER)/$(1)/fmufit-worker.exe"
+endef
+
 windows-worker:  ## the program that runs models of Windows under Wine, into ~/.local/share; wants mingw and `rustup target add x86_64-pc-windows-gnu`
-	$(call suite,worker for Windows,$(MINGW) cargo build --quiet --profile quick --target $(WINDOWS) --package fmufit-calibration --bin fmufit-worker)
-	@mkdir -p $(WORKER_FOLDER) && cp target/$(WINDOWS)/quick/fmufit-worker.exe $(WORKER_FOLDER)
-	@x86_64-w64-mingw32-gcc -O2 -shared -o $(WORKER_FOLDER)/bcryptprimitives.dll tools/bcryptprimitives.c -ladvapi32
-	@echo "wrote $(WORKER_FOLDER)/fmufit-worker.exe"
+	$(call worker,win64,$(WINDOWS),x86_64-w64-mingw32-gcc,$(MINGW))
+
+windows-worker-32:  ## the same for 32-bit models; wants mingw and `rustup target add i686-pc-windows-gnu`
+	$(call worker,win32,$(WINDOWS_32),i686-w64-mingw32-gcc,$(MINGW_32))
+
+# Not empty where 32-bit programs can be compiled and run.
+HAS_32 = $(and $(shell command -v i686-w64-mingw32-gcc),$(shell rustup target list --installed | grep $(WINDOWS_32)),$(wildcard target/wine/drive_c/windows/syswow64/ntdll.dll))
 
 # The crates whose tests run under Wine.
 WINDOWS_CRATES ?= base ode dfo fmi calibration cli
@@ -98,8 +111,9 @@ wine-fits: $(VENV)/.tools
 	@bash tools/wine_prefix.sh $(WINE) $(WINEPREFIX)
 	$(call suite,programs for Windows,$(MINGW) cargo build --quiet --target $(WINDOWS) --package fmufit-calibration --package fmufit-cli --bins)
 	$(call suite,fits under Wine,WINE=$(WINE) $(BIN)/python tools/windows_check.py $(WINDOWS_BUILT)/fmufit.exe target/windows-check)
-	@x86_64-w64-mingw32-gcc -O2 -shared -o $(WINDOWS_BUILT)/bcryptprimitives.dll tools/bcryptprimitives.c -ladvapi32
-	$(call suite,models for Windows,FMUFIT_WINE=$(WINE) $(BIN)/python tools/wine_check.py $(BIN)/fmufit $(WINDOWS_BUILT)/fmufit-worker.exe target/wine-check)
+	@$(MAKE) --no-print-directory windows-worker $(if $(HAS_32),windows-worker-32) WORKER_FOLDER=target/wine-workers
+	$(call suite,models for Windows,FMUFIT_WINE=$(WINE) $(BIN)/python tools/wine_check.py $(BIN)/fmufit target/wine-workers/win64/fmufit-worker.exe \
+		target/wine-check $(if $(HAS_32),target/wine-workers/win32/fmufit-worker.exe))
 
 test-long: $(VENV)/.tools build  ## what takes long: many runs, memory
 	$(call suite,long rust tests,cargo test --workspace --release --quiet -- --ignored)

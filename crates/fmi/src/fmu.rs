@@ -14,7 +14,7 @@ use crate::macros::getters;
 use crate::open_options::{LogOptions, OpenOptions};
 use crate::platform::RunsBy;
 use crate::sys::{InterfaceKind, Library, LoadFrom, is_worker};
-use crate::worker::{WorkerLimits, Workers, check_wine};
+use crate::worker::{WindowsProgram, WorkerLimits, Workers};
 use crate::{platform, source};
 use base::Number;
 use serde::{Deserialize, Serialize};
@@ -69,7 +69,7 @@ struct Inner {
     /// Subjects of messages that simulations have logged. Each subject is logged once.
     reported: Mutex<Vec<&'static str>>,
     workers: Mutex<std::sync::Weak<Workers>>,
-    needs_wine: OnceLock<bool>,
+    needed_program: OnceLock<Option<WindowsProgram>>,
     description: ModelDescription,
     options: OpenOptions,
     archive: Arc<Archive>,
@@ -162,7 +162,7 @@ impl Fmu {
             is_to_be_repeated: AtomicBool::new(false),
             reported: Mutex::default(),
             workers: Mutex::default(),
-            needs_wine: OnceLock::new(),
+            needed_program: OnceLock::new(),
             description,
             options: OpenOptions { cancel: CancelRequest::default(), ..options.clone() },
             archive: Arc::new(archive),
@@ -302,25 +302,25 @@ impl Fmu {
 
     /// Returns worker processes with these limits. Existing processes of this FMU with equal limits are
     /// shared. The processes end when their last user drops them. Returns `None` if this program cannot start
-    /// worker processes (see [`Launcher`](crate::worker::Launcher)). The processes run under Wine if the
-    /// model [needs](Self::needs_wine) it.
+    /// worker processes (see [`Launcher`](crate::worker::Launcher)). The processes run the program that the
+    /// model [needs](Self::needed_program), if any.
     ///
     /// # Errors
-    /// Returns [`FmiError::NoWine`] if the model needs Wine, and Wine or the worker program for Windows is
-    /// missing. Returns [`FmiError::NoSandbox`] if the limits request a sandbox under Wine.
+    /// Returns [`FmiError::NoWindowsProgram`] if the needed program or Wine is missing, and
+    /// [`FmiError::NoSandbox`] if the limits request a sandbox for such a model.
     pub fn workers(&self, limits: WorkerLimits) -> Result<Option<Arc<Workers>>> {
         let mut shared = self.inner.workers.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(workers) = shared.upgrade().filter(|workers| *workers.limits() == limits) {
             return Ok(Some(workers));
         }
         // With a sandbox, sources are compiled in confined processes only.
-        let under_wine = match limits.sandbox && self.runs_by(RunsBy::Compiling) {
-            true => false,
-            false => self.needs_wine(),
+        let program = match limits.sandbox && self.runs_by(RunsBy::Compiling) {
+            true => None,
+            false => self.needed_program(),
         };
-        let workers = match under_wine {
-            true => Some(Workers::under_wine(limits)?),
-            false => Workers::new(limits),
+        let workers = match program {
+            Some(program) => Some(Workers::of_program(program, limits)?),
+            None => Workers::new(limits),
         };
         if let Some(workers) = &workers {
             *shared = Arc::downgrade(workers);
@@ -341,19 +341,25 @@ impl Fmu {
         ))
     }
 
-    /// True if the FMU runs on this platform only under Wine: it has a library for Windows, no library for
-    /// this platform, and no sources. If it has sources, and the programs to run it under Wine are present,
-    /// the first call compiles the sources; they count as absent if that fails.
-    pub fn needs_wine(&self) -> bool {
-        *self.inner.needs_wine.get_or_init(|| {
+    /// Returns the worker program for Windows without which the FMU does not run here: it has a library for
+    /// that program, no library for this platform, and no sources. If it has sources, and the program is
+    /// present, the first call compiles the sources; they count as absent if that fails.
+    pub fn needed_program(&self) -> Option<WindowsProgram> {
+        *self.inner.needed_program.get_or_init(|| {
             let is_without_sources = || !self.runs_by(RunsBy::Compiling);
-            self.is_for_windows() && (is_without_sources() || (check_wine().is_ok() && !self.compiles()))
+            self.windows_program()
+                .filter(|program| is_without_sources() || (program.check().is_ok() && !self.compiles()))
         })
     }
 
-    /// True if the FMU has a library that runs under Wine, and none for this platform.
-    fn is_for_windows(&self) -> bool {
-        self.runs_by(RunsBy::Wine) && !self.runs_by(RunsBy::Loading)
+    /// Returns the worker program for a library of the FMU, if it has none for this platform.
+    pub fn windows_program(&self) -> Option<WindowsProgram> {
+        let libraries = [
+            (RunsBy::Loading, None),
+            (RunsBy::Wine, Some(WindowsProgram::Bits64)),
+            (RunsBy::Process32, Some(WindowsProgram::Bits32)),
+        ];
+        libraries.into_iter().find(|(runs_by, _)| self.runs_by(*runs_by))?.1
     }
 
     /// True if a part of the FMU runs like this. An error counts as false; it is reported when the files are
@@ -373,8 +379,8 @@ impl Fmu {
             let text = error.to_string();
             let start: String = text.lines().next().unwrap_or_default().chars().take(LONGEST_ERROR).collect();
             log::warn!(
-                "{}: the sources do not compile here, so the library for Windows runs under Wine. The error \
-                 begins: {start}",
+                "{}: the sources do not compile here, so the library for Windows runs in a worker process. \
+                 The error begins: {start}",
                 self.path().display()
             );
             return false;
@@ -787,14 +793,14 @@ impl Fmu {
             FmiError::NoBinary { wanted, present, .. } => FmiError::NoBinary {
                 path: self.path().to_owned(),
                 wanted,
-                present: match self.is_for_windows() && !self.runs_by(RunsBy::Compiling) {
-                    true => match check_wine() {
-                        Err(FmiError::NoWine { reason }) => {
-                            format!("{present}, which runs under Wine. {reason}")
+                present: match self.windows_program().filter(|_| !self.runs_by(RunsBy::Compiling)) {
+                    Some(program) => match program.check() {
+                        Err(FmiError::NoWindowsProgram { reason, .. }) => {
+                            format!("{present}, which runs {}. {reason}", program.place())
                         }
-                        _ => format!("{present}, which runs in a worker process under Wine"),
+                        _ => format!("{present}, which runs {} in a worker process", program.place()),
                     },
-                    false => format!("{present}; cannot build one: {no_sources}"),
+                    None => format!("{present}; cannot build one: {no_sources}"),
                 },
             },
             other => other,

@@ -2,8 +2,10 @@
 
 use crate::error::Error;
 use calibration::{JobFolder, SimulationSettings};
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use fmi::Fmu;
+use fmi::platform::BuildTarget;
 use std::path::{Path, PathBuf};
 
 /// Fit the parameters of Functional Mock-up Units (FMUs) to measurements.
@@ -568,18 +570,15 @@ pub(crate) struct Build {
     pub(crate) model: PathBuf,
     /// The .fmu file to write; default: named after the folder, next to it
     pub(crate) output: Option<PathBuf>,
-    /// The platform of the library
-    #[arg(long, value_name = "PLATFORM", default_value = "native")]
-    pub(crate) platform: Platform,
+    /// The platform of the library. The compiler is CC, or one of cc, gcc and clang; for another platform it
+    /// is CC_x86_64_pc_windows_gnu or CC_i686_pc_windows_gnu, or MinGW-w64
+    #[arg(long, value_name = "PLATFORM", default_value = "native", value_parser = platforms())]
+    pub(crate) platform: BuildTarget,
 }
 
-/// A platform for which sources are compiled.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Platform {
-    /// This platform; the compiler is CC, or one of cc, gcc and clang
-    Native,
-    /// Windows; the compiler is CC_x86_64_pc_windows_gnu, or x86_64-w64-mingw32-gcc
-    Win64,
+/// Returns the parser of the platforms for which sources are compiled.
+fn platforms() -> impl TypedValueParser<Value = BuildTarget> {
+    PossibleValuesParser::new(BuildTarget::names()).try_map(|name| name.parse::<BuildTarget>())
 }
 
 #[derive(Debug, Args)]

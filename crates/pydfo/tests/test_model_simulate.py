@@ -532,7 +532,7 @@ def test_default_time_span_of_the_model_is_reported(tmp_path):
 
 def test_missing_binary_is_reported_before_missing_final_time(tmp_path):
     variable = '<ScalarVariable name="x" valueReference="1"><Real/></ScalarVariable>'
-    path = fmus.write(tmp_path / "m.fmu", fmus.xml(variable), {"binaries/win32/m.dll": b"MZ"})
+    path = fmus.write(tmp_path / "m.fmu", fmus.xml(variable), {"binaries/plan9/m.so": b"MZ"})
     with pytest.raises(FmuError, match="no binary for this platform"):
         FMUModel(path).simulate()
     # A model that runs and suggests no stop time.

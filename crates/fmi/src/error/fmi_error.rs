@@ -45,8 +45,10 @@ pub enum FmiError {
         reason: String,
     },
     /// The model has a library for Windows only, and no program that can run it was found.
-    #[error("the model has a library for Windows only, which runs under Wine. {reason}")]
-    NoWine {
+    #[error("the model has {models}. {reason}")]
+    NoWindowsProgram {
+        /// What the model has, and how it runs.
+        models: &'static str,
         /// What is missing, and how to provide it.
         reason: String,
     },
@@ -440,7 +442,7 @@ impl FmiError {
             self,
             FmiError::Memory { .. }
                 | FmiError::NoWorker { .. }
-                | FmiError::NoWine { .. }
+                | FmiError::NoWindowsProgram { .. }
                 | FmiError::NoSandbox { .. }
                 | FmiError::Io { .. }
                 | FmiError::Absent { .. }

@@ -15,6 +15,8 @@ words! {
         Native = "native",
         /// Windows on a 64-bit x86 processor. Other systems need the cross compiler of MinGW-w64.
         Win64 = "win64",
+        /// 32-bit Windows. All systems need the cross compiler of MinGW-w64.
+        Win32 = "win32",
     }
 }
 
@@ -35,22 +37,41 @@ impl FromStr for BuildTarget {
 }
 
 impl BuildTarget {
-    fn is_native(self) -> bool {
-        self == Self::Native || (cfg!(windows) && Machine::host() == Machine::X86_64)
+    /// Returns the names of all platforms.
+    pub fn names() -> impl Iterator<Item = &'static str> {
+        Self::WORDS.iter().map(|(word, _)| *word)
+    }
+
+    /// Returns the processor for which a cross compiler is needed.
+    fn foreign(self) -> Option<Machine> {
+        let machine = match self {
+            Self::Native => return None,
+            Self::Win64 => Machine::X86_64,
+            Self::Win32 => Machine::X86,
+        };
+        (!cfg!(windows) || Machine::host() != machine).then_some(machine)
     }
 
     fn is_windows(self) -> bool {
-        self == Self::Win64 || cfg!(windows)
+        self != Self::Native || cfg!(windows)
     }
 
     /// Returns the names of C compilers to try.
     pub(crate) fn compilers(self) -> &'static [&'static str] {
-        if self.is_native() { &["cc", "gcc", "clang"] } else { &["x86_64-w64-mingw32-gcc"] }
+        match self.foreign() {
+            None => &["cc", "gcc", "clang"],
+            Some(Machine::X86) => &["i686-w64-mingw32-gcc"],
+            Some(_) => &["x86_64-w64-mingw32-gcc"],
+        }
     }
 
     /// Returns the environment variable with the name of another compiler.
     pub(crate) fn variable(self) -> &'static str {
-        if self.is_native() { "CC" } else { "CC_x86_64_pc_windows_gnu" }
+        match self.foreign() {
+            None => "CC",
+            Some(Machine::X86) => "CC_i686_pc_windows_gnu",
+            Some(_) => "CC_x86_64_pc_windows_gnu",
+        }
     }
 
     /// Returns options for compiling a shared library. Floating-point arithmetic follows the standard:
@@ -91,14 +112,18 @@ impl BuildTarget {
             (Self::Native, names) => binary_folders(names).swap_remove(0),
             (Self::Win64, FolderNames::SystemAndBits) => "win64".to_owned(),
             (Self::Win64, FolderNames::ProcessorAndSystem) => "x86_64-windows".to_owned(),
+            (Self::Win32, FolderNames::SystemAndBits) => "win32".to_owned(),
+            (Self::Win32, FolderNames::ProcessorAndSystem) => "x86-windows".to_owned(),
         }
     }
 
     /// True if this platform can load the library.
     pub(crate) fn can_load(self, library: &BinaryHeader) -> bool {
+        let is_windows = |machine| library.format == BinaryFormat::Pe && library.machines.contains(&machine);
         match self {
             Self::Native => library.runs_here(),
-            Self::Win64 => library.format == BinaryFormat::Pe && library.machines.contains(&Machine::X86_64),
+            Self::Win64 => is_windows(Machine::X86_64),
+            Self::Win32 => is_windows(Machine::X86),
         }
     }
 
@@ -107,6 +132,7 @@ impl BuildTarget {
         match self {
             Self::Native => format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
             Self::Win64 => "windows x86_64".to_owned(),
+            Self::Win32 => "windows x86".to_owned(),
         }
     }
 }

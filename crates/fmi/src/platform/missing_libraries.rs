@@ -41,9 +41,13 @@ pub(crate) fn missing_libraries(library: &Path) -> Vec<String> {
 /// Returns the names of the libraries that a library needs, in lower case.
 #[cfg(windows)]
 fn needed(library: &Path) -> Option<Vec<String>> {
-    use object::{LittleEndian, read::pe::PeFile64};
+    use object::LittleEndian;
+    #[cfg(target_pointer_width = "32")]
+    use object::read::pe::PeFile32 as PeFile;
+    #[cfg(target_pointer_width = "64")]
+    use object::read::pe::PeFile64 as PeFile;
     let bytes = base::files::read_regular(library).ok()?;
-    let table = PeFile64::parse(&*bytes).ok()?.import_table().ok()??;
+    let table = PeFile::parse(&*bytes).ok()?.import_table().ok()??;
     let mut entries = table.descriptors().ok()?;
     let mut names = Vec::new();
     while let Ok(Some(entry)) = entries.next() {

@@ -4,8 +4,9 @@ use super::binary_folders::{FolderNames, LIBRARY_EXTENSION, binary_folders};
 use crate::macros::words;
 use std::collections::BTreeSet;
 
-/// Folders of binaries that run under Wine on Linux.
-const WINDOWS: [&str; 2] = ["win64", "x86_64-windows"];
+/// Folders of libraries for 64-bit and for 32-bit Windows.
+const WINDOWS_64: [&str; 2] = ["win64", "x86_64-windows"];
+const WINDOWS_32: [&str; 2] = ["win32", "x86-windows"];
 
 words! {
     /// How a part of an FMU runs on this platform.
@@ -17,6 +18,8 @@ words! {
         Compiling = "compiled here",
         /// The library runs in a Windows process under Wine.
         Wine = "runs here under Wine",
+        /// The library runs in a 32-bit Windows process, on Linux under Wine.
+        Process32 = "runs here in a 32-bit process",
         /// It does not run here.
         Nothing = "does not run here",
     }
@@ -47,10 +50,12 @@ pub(crate) fn platforms<'a>(files: impl Iterator<Item = &'a str>, names: FolderN
         has_sources |= file.starts_with("sources/") && file.ends_with(".c");
     }
     let own = binary_folders(names);
+    let is_windows = |folder: &str, names: &[&str]| windows.contains(folder) && names.contains(&folder);
     let runs_by = |folder: &str| match folder {
         folder if native.contains(folder) && own.iter().any(|own| own == folder) => RunsBy::Loading,
-        folder if cfg!(target_os = "linux") && windows.contains(folder) && WINDOWS.contains(&folder) => {
-            RunsBy::Wine
+        folder if cfg!(target_os = "linux") && is_windows(folder, &WINDOWS_64) => RunsBy::Wine,
+        folder if cfg!(any(windows, target_os = "linux")) && is_windows(folder, &WINDOWS_32) => {
+            RunsBy::Process32
         }
         _ => RunsBy::Nothing,
     };
@@ -65,17 +70,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn libraries_for_windows_run_under_wine_on_linux_only() {
+    fn libraries_for_windows_run_on_linux_and_windows_only() {
         let files =
             ["modelDescription.xml", "binaries/win64/m.dll", "binaries/win32/m.dll", "binaries/plan9/m"];
         let found = platforms(files.into_iter(), FolderNames::SystemAndBits);
         let shown: Vec<_> = found.iter().map(|platform| (&platform.name[..], platform.runs_by)).collect();
-        let windows = match std::env::consts::OS {
-            "windows" => RunsBy::Loading,
-            "linux" => RunsBy::Wine,
-            _ => RunsBy::Nothing,
+        let (bits_32, bits_64) = match std::env::consts::OS {
+            "windows" => (RunsBy::Process32, RunsBy::Loading),
+            "linux" => (RunsBy::Process32, RunsBy::Wine),
+            _ => (RunsBy::Nothing, RunsBy::Nothing),
         };
-        assert_eq!(shown, [("plan9", RunsBy::Nothing), ("win32", RunsBy::Nothing), ("win64", windows)]);
+        assert_eq!(shown, [("plan9", RunsBy::Nothing), ("win32", bits_32), ("win64", bits_64)]);
     }
 
     #[test]

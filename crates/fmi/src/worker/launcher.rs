@@ -20,6 +20,8 @@ pub struct Launcher {
     pub preload: Option<PathBuf>,
     /// Wine, which runs `program`, a Windows program.
     pub(super) wine: Option<PathBuf>,
+    /// What the models have that run in this program only, and not in this process.
+    pub(super) models: Option<&'static str>,
 }
 
 static CURRENT: Mutex<Option<Launcher>> = Mutex::new(None);
@@ -27,7 +29,7 @@ static CURRENT: Mutex<Option<Launcher>> = Mutex::new(None);
 impl Launcher {
     /// Creates a launcher for a program without arguments.
     pub fn of(program: impl Into<PathBuf>) -> Self {
-        Self { program: program.into(), arguments: Vec::new(), preload: None, wine: None }
+        Self { program: program.into(), arguments: Vec::new(), preload: None, wine: None, models: None }
     }
 
     /// Adds arguments of the program.

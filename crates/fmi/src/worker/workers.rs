@@ -10,7 +10,7 @@ use super::limits::{AnswerLimits, WorkerLimits};
 use super::load::{Load, LoadId};
 use super::platform::{HAS_WORKERS, Starter};
 use super::surroundings::Surroundings;
-use super::wine_launcher::wine_launcher;
+use super::windows_program::WindowsProgram;
 use super::worker_process::{NoAnswer, Places, Process};
 use crate::description::{Quirk, QuirkKind};
 use crate::error::{EndKind, FmiError, ReportedError, ReportedErrorKind};
@@ -175,17 +175,17 @@ impl Workers {
         Launcher::current().filter(|_| HAS_WORKERS).map(|launcher| Self::of(launcher, limits))
     }
 
-    /// Creates a set for models of Windows, whose workers run under Wine, without starting any process.
+    /// Creates a set whose workers run a program for Windows, without starting any process.
     ///
     /// # Errors
-    /// Returns [`FmiError::NoWine`] if Wine or the worker program for Windows is missing, and
+    /// Returns [`FmiError::NoWindowsProgram`] if the program or Wine is missing, and
     /// [`FmiError::NoSandbox`] if the limits request a sandbox.
-    pub fn under_wine(limits: WorkerLimits) -> Result<Arc<Self>, FmiError> {
+    pub fn of_program(program: WindowsProgram, limits: WorkerLimits) -> Result<Arc<Self>, FmiError> {
         if limits.sandbox {
-            let reason = "models of Windows, which run under Wine, cannot be confined".to_owned();
+            let reason = "models of Windows cannot be confined".to_owned();
             return Err(FmiError::NoSandbox { reason });
         }
-        Ok(Self::of(wine_launcher()?, limits))
+        Ok(Self::of(program.launcher()?, limits))
     }
 
     fn of(launcher: Launcher, limits: WorkerLimits) -> Arc<Self> {

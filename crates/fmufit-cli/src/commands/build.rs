@@ -1,10 +1,9 @@
 //! `fmufit build`: compiles a source-code FMU.
 
-use crate::arguments::{Build, Platform};
+use crate::arguments::Build;
 use crate::console::Console;
 use crate::error::{Error, Exit};
 use crate::interrupt::Interrupt;
-use fmi::platform::BuildTarget;
 use fmi::{CancelRequest, FmiError};
 
 pub(crate) fn run(arguments: &Build, console: &Console) -> Result<Exit, Error> {
@@ -31,11 +30,7 @@ pub(crate) fn run(arguments: &Build, console: &Console) -> Result<Exit, Error> {
         )));
     }
     let interrupt = Interrupt::watch()?;
-    let target = match platform {
-        Platform::Native => BuildTarget::Native,
-        Platform::Win64 => BuildTarget::Win64,
-    };
-    let built = fmi::pack_for(model, &output, target, &CancelRequest::when(interrupt.flag()));
+    let built = fmi::pack_for(model, &output, *platform, &CancelRequest::when(interrupt.flag()));
     match built {
         Ok(()) => {
             console.result(&format!("wrote {}", output.display()));

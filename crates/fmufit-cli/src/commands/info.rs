@@ -7,7 +7,6 @@ use base::Number;
 use calibration::visible_line;
 use fmi::description::{Causality, Interface};
 use fmi::platform::{Platform, RunsBy};
-use fmi::worker::check_wine;
 use fmi::{Fmu, ModelDescription, Value, Variable};
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -105,9 +104,9 @@ fn platform_lines(fmu: &Fmu) -> Vec<String> {
     let platforms = fmu.platforms().unwrap_or_default();
     let shown: Vec<String> =
         platforms.iter().map(|platform| format!("{} ({})", platform.name, platform.runs_by)).collect();
-    let has = |runs_by| platforms.iter().any(|platform| platform.runs_by == runs_by);
-    let is_native = has(RunsBy::Loading) || has(RunsBy::Compiling);
-    let missing = (has(RunsBy::Wine) && !is_native).then(check_wine).and_then(Result::err);
+    let has_sources = platforms.iter().any(|platform| platform.runs_by == RunsBy::Compiling);
+    let program = fmu.windows_program().filter(|_| !has_sources);
+    let missing = program.and_then(|program| program.check().err());
     [shown.join(", ")].into_iter().chain(missing.map(|error| format!("warning: {error}"))).collect()
 }
 

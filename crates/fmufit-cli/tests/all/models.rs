@@ -42,15 +42,16 @@ fn info_shows_variables_with_causality_unit_and_start() {
 
 /// Writes a model whose library is for Windows, in which only the programs to run it matter.
 #[cfg(target_os = "linux")]
-fn write_windows_model(folder: &Folder) {
-    let mut archive = zip::ZipWriter::new(std::fs::File::create(folder.path("windows.fmu")).unwrap());
+fn write_windows_model(folder: &Folder, platform: &str, file: &str) {
+    let mut archive = zip::ZipWriter::new(std::fs::File::create(folder.path(file)).unwrap());
     let description = "<fmiModelDescription fmiVersion=\"2.0\" modelName=\"m\" guid=\"g\"><ModelExchange \
                        modelIdentifier=\"m\"/><DefaultExperiment stopTime=\"1\"/><ModelVariables><ScalarVariable name=\"k\" \
                        valueReference=\"0\" causality=\"parameter\" variability=\"fixed\"><Real start=\"1\"/>\
                        </ScalarVariable><ScalarVariable name=\"y\" valueReference=\"1\" causality=\"output\"><Real/>\
                        </ScalarVariable></ModelVariables><ModelStructure><Outputs><Unknown index=\"2\"/></Outputs>\
                        </ModelStructure></fmiModelDescription>";
-    for (name, content) in [("modelDescription.xml", description), ("binaries/win64/m.dll", "MZ")] {
+    let library = format!("binaries/{platform}/m.dll");
+    for (name, content) in [("modelDescription.xml", description), (&library, "MZ")] {
         archive.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
         std::io::Write::write_all(&mut archive, content.as_bytes()).unwrap();
     }
@@ -61,7 +62,8 @@ fn write_windows_model(folder: &Folder) {
 #[cfg(target_os = "linux")]
 fn model_for_windows_reports_the_missing_program() {
     let folder = Folder::new();
-    write_windows_model(&folder);
+    write_windows_model(&folder, "win64", "windows.fmu");
+    write_windows_model(&folder, "win32", "windows-32.fmu");
     folder.write("program", "");
     folder.write("data.csv", "time,y\n0,1\n1,2\n");
     folder.write(
@@ -86,7 +88,7 @@ fn model_for_windows_reports_the_missing_program() {
     let message = failed("fit fit.toml", &[("FMUFIT_WINE", "/no/wine")]);
     assert!(message.contains("runs under Wine. FMUFIT_WINE = /no/wine is not a file"), "{message}");
     let message = missing(&[("FMUFIT_WINE", &program)]);
-    assert!(message.contains("data/fmufit/windows/fmufit-worker.exe, was not found"), "{message}");
+    assert!(message.contains("data/fmufit/win64/fmufit-worker.exe, was not found"), "{message}");
     assert!(message.contains("make windows-worker"), "{message}");
     // A program that cannot be started.
     let broken = [("FMUFIT_WINE", &*program), ("FMUFIT_WINDOWS_WORKER", &*program)];
@@ -98,6 +100,14 @@ fn model_for_windows_reports_the_missing_program() {
     assert!(message.contains("Cannot start a worker process"), "{message}");
     let text = folder.run("info windows.fmu").good();
     assert!(text.contains("win64 (runs here under Wine)"), "{text}");
+    let message = failed("simulate windows-32.fmu --outputs time", &[("FMUFIT_WINE", &program)]);
+    assert!(
+        message.contains("a 32-bit library for Windows only")
+            && message.contains("data/fmufit/win32/fmufit-worker.exe"),
+        "{message}"
+    );
+    let text = folder.run("info windows-32.fmu").good();
+    assert!(text.contains("win32 (runs here in a 32-bit process)"), "{text}");
 }
 
 #[test]

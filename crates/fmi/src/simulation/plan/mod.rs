@@ -99,7 +99,7 @@ impl SimulationPlan {
         let description = fmu.description();
         // A missing binary is reported before a missing final time.
         let grid = options.grid(&description.default_experiment).map_err(|error| {
-            let is_missing = !fmu.needs_wine();
+            let is_missing = fmu.needed_program().is_none();
             match is_missing.then(|| fmu.binary(interface, &CancelRequest::default())) {
                 Some(Err(no_binary @ FmiError::NoBinary { .. })) => no_binary,
                 _ => error,

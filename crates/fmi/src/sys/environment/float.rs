@@ -32,7 +32,7 @@ impl FloatMode {
 }
 
 /// Control registers: MXCSR for SSE and AVX, the control word for x87 (`long double`).
-#[cfg(target_arch = "x86_64")]
+#[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
 mod control {
     pub(super) type Words = (u32, u16);
 
@@ -101,7 +101,7 @@ mod control {
     }
 }
 
-#[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
+#[cfg(not(any(target_arch = "x86", target_arch = "x86_64", target_arch = "aarch64")))]
 mod control {
     pub(super) type Words = ();
     pub(super) const DEFAULT: Words = ();
@@ -112,7 +112,7 @@ mod control {
     pub(super) fn write((): Words) {}
 }
 
-#[cfg(all(test, target_arch = "x86_64"))]
+#[cfg(all(test, any(target_arch = "x86", target_arch = "x86_64")))]
 mod tests {
     use super::super::{Inside, set_float_mode};
     use super::*;

@@ -3,7 +3,7 @@
 use crate::sys::shared_page::note_exception;
 use std::io;
 use std::net::TcpStream;
-use std::os::windows::io::{AsRawHandle, AsRawSocket, FromRawHandle, FromRawSocket, OwnedHandle};
+use std::os::windows::io::{AsRawHandle, AsRawSocket, FromRawHandle, FromRawSocket, OwnedHandle, RawSocket};
 use std::path::Path;
 use std::process::Child;
 use windows_sys::Win32::Foundation::{DUPLICATE_SAME_ACCESS, DuplicateHandle, HANDLE};
@@ -76,7 +76,7 @@ pub(crate) fn take_socket(description: &[u8]) -> io::Result<TcpStream> {
         return Err(io::Error::last_os_error());
     }
     // SAFETY: a new socket, which nothing else closes.
-    Ok(unsafe { TcpStream::from_raw_socket(socket as u64) })
+    Ok(unsafe { TcpStream::from_raw_socket(socket as RawSocket) })
 }
 
 /// Returns the memory of a process in bytes.

@@ -112,9 +112,12 @@ impl Starter {
 
     fn failed(&self, reason: &str) -> FmiError {
         let reason = format!("{}: {reason}", self.launcher.program.display());
-        match self.launcher.wine {
+        match self.launcher.models {
             // Such a model cannot run in this process instead.
-            Some(_) => FmiError::NoWine { reason: format!("Cannot start a worker process ({reason})") },
+            Some(models) => {
+                let reason = format!("Cannot start a worker process ({reason})");
+                FmiError::NoWindowsProgram { models, reason }
+            }
             None => FmiError::NoWorker { reason },
         }
     }

@@ -53,7 +53,7 @@ def build_fmu(folder: PathLike, out: PathLike, *, platform: str = "native") -> P
         library is compiled from the sources and packed with them.
     out : path
         The file to write. An existing file is replaced.
-    platform : {'native', 'win64'}, optional
+    platform : {'native', 'win64', 'win32'}, optional
         The platform of the library: this one (compiler ``CC``, otherwise ``cc``, ``gcc`` or ``clang``), or Windows
         (compiler ``CC_x86_64_pc_windows_gnu``, otherwise ``x86_64-w64-mingw32-gcc``).
 
