@@ -11,6 +11,7 @@ import json
 import math
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import zipfile
@@ -118,6 +119,19 @@ def main(exe, work):
             value, error = (ours[key] / theirs[key] - 1 for key in ("value", "standard_error"))
             print(f"{name} {ours['name']}: value {value:.1e}, standard error {error:.1e} relative to native")
             assert abs(value) < 1e-6 and abs(error) < 1e-3
+
+    # A fit that would take hours ends at Ctrl-C with its best point.
+    slow = DECAY.format(model="dahlquist.fmu", seconds=60).replace("[settings]", '[settings]\nsolver = "euler"\nstep_size = 1e-6')
+    (work / "slow.toml").write_text(slow.replace("max_evaluations = 40", "max_evaluations = 100000"))
+    command = [wine, exe, "fit", "slow.toml", "--json"]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, cwd=work, env=environment, **pipes) as process:
+        while "searching" not in (line := process.stderr.readline()):
+            assert line, "the fit has ended"
+        process.send_signal(signal.SIGINT)
+        out, error = process.communicate(timeout=60)
+    assert process.returncode == 130 and json.loads(out)["n_evaluations"] > 0, (process.returncode, out, error)
+    print(f"Ctrl-C: {json.loads(out)['message']}")
 
     for name, (fault, words) in FAULTS.items():
         windows_fmu("dahlquist", work / f"{name}.fmu", fault)
