@@ -309,7 +309,9 @@ impl AtomicFile {
     pub fn finish(self) -> io::Result<()> {
         let Some(mut stream) = self.stream else {
             self.file.as_file().sync_all()?;
-            return self.file.persist(&self.target).map(drop).map_err(|error| error.error);
+            let (file, path) = self.file.keep().map_err(|error| error.error)?;
+            drop(file);
+            return replace(&path, &self.target).inspect_err(|_| _ = fs::remove_file(&path));
         };
         let (mut file, path): (File, TempPath) = self.file.into_parts();
         file.seek(SeekFrom::Start(0))?;
@@ -317,6 +319,20 @@ impl AtomicFile {
         drop((file, path));
         copied.map(drop)
     }
+}
+
+/// Replaces a file by another one. Windows refuses this while some program has the file open, for example a
+/// virus scanner. Such programs soon close it, so the replacement is tried again for half a second.
+fn replace(from: &Path, to: &Path) -> io::Result<()> {
+    // ERROR_ACCESS_DENIED and ERROR_SHARING_VIOLATION.
+    let is_open = |error: &io::Error| cfg!(windows) && matches!(error.raw_os_error(), Some(5 | 32));
+    for _ in 0..50 {
+        match fs::rename(from, to) {
+            Err(error) if is_open(&error) => std::thread::sleep(std::time::Duration::from_millis(10)),
+            outcome => return outcome,
+        }
+    }
+    fs::rename(from, to)
 }
 
 /// Writes a file atomically.

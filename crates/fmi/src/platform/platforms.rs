@@ -41,10 +41,12 @@ pub(crate) fn platforms<'a>(files: impl Iterator<Item = &'a str>, names: FolderN
     for file in files {
         if let Some((folder, file)) = file.strip_prefix("binaries/").and_then(|below| below.split_once('/')) {
             folders.insert(folder);
-            match file.rsplit_once('.') {
-                Some((_, extension)) if extension == LIBRARY_EXTENSION => _ = native.insert(folder),
-                Some((_, extension)) if extension.eq_ignore_ascii_case("dll") => _ = windows.insert(folder),
-                _ => {}
+            let extension = file.rsplit_once('.').map_or("", |(_, extension)| extension);
+            if extension == LIBRARY_EXTENSION {
+                native.insert(folder);
+            }
+            if extension.eq_ignore_ascii_case("dll") {
+                windows.insert(folder);
             }
         }
         has_sources |= file.starts_with("sources/") && file.ends_with(".c");

@@ -65,9 +65,10 @@ impl WindowsProgram {
         let shown = program.as_deref().unwrap_or(Path::new(PROGRAM)).display().to_string();
         program.filter(|program| program.is_file()).ok_or_else(|| {
             format!(
-                "The {} worker program for Windows, {shown}, was not found. Build it with `make windows-worker` in \
-                 the sources of this program, or set {} to its path",
+                "The {} worker program for Windows, {shown}, was not found. Build it with `make {}` in the \
+                 sources of this program, or set {} to its path",
                 self.bits(),
+                self.recipe(),
                 self.variable()
             )
         })
@@ -85,6 +86,14 @@ impl WindowsProgram {
         match self {
             Self::Bits64 => "64-bit",
             Self::Bits32 => "32-bit",
+        }
+    }
+
+    /// Returns the target of `make` that builds it.
+    fn recipe(self) -> &'static str {
+        match self {
+            Self::Bits64 => "windows-worker",
+            Self::Bits32 => "windows-worker-32",
         }
     }
 
