@@ -25,7 +25,7 @@ endef
 # $(call develop,options): builds the Python module and installs it into .venv.
 develop = @$(BIN)/maturin develop --quiet --manifest-path crates/pydfo/Cargo.toml $(1)
 
-.PHONY: help demo test test-rust test-python test-packaging test-engines test-windows windows-crates wine-crates wine-fits windows-worker windows-worker-32 test-long lint lint-windows bench bench-dfo doc pictures build fuzz sanitize nightly clean
+.PHONY: help demo test test-rust test-python test-packaging test-engines test-windows windows-crates wine-crates wine-fits windows-worker windows-worker-32 windows-python test-long lint lint-windows bench bench-dfo doc pictures build fuzz sanitize nightly clean
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 18
 
@@ -78,6 +78,13 @@ windows-worker:  ## the program that runs models of Windows under Wine, into ~/.
 
 windows-worker-32:  ## the same for 32-bit models; wants mingw and `rustup target add i686-pc-windows-gnu`
 	$(call worker,win32,$(WINDOWS_32),i686-w64-mingw32-gcc,$(MINGW_32))
+
+# WINDOWS_PYTHON: path of a python.exe with NumPy and pytest.
+windows-python: export WINEPREFIX := $(CURDIR)/target/wine
+windows-python: export WINEDEBUG := -all
+windows-python: $(VENV)/.tools  ## the tests of the Python module under Wine; wants WINDOWS_PYTHON=path/python.exe
+	@bash tools/wine_prefix.sh $(WINE) $(WINEPREFIX)
+	$(call suite,Python tests under Wine,bash tools/windows_python.sh $(WINE) $(abspath $(WINDOWS_PYTHON)) $(BIN))
 
 # Not empty where 32-bit programs can be compiled and run.
 HAS_32 = $(and $(shell command -v i686-w64-mingw32-gcc),$(shell rustup target list --installed | grep $(WINDOWS_32)),$(wildcard target/wine/drive_c/windows/syswow64/ntdll.dll))

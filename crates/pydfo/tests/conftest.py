@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import sys
+
 import numpy as np
 import pytest
 
@@ -9,6 +13,15 @@ import pytest
 def rosenbrock(x):
     """Returns Rosenbrock's function, with the minimum 0 at (1, 1)."""
     return 100.0 * (x[1] - x[0] ** 2) ** 2 + (1.0 - x[0]) ** 2
+
+
+def press_ctrl_c() -> None:
+    """Sends the signal of Ctrl-C to this process."""
+    if sys.platform == "win32":
+        # `os.kill` would end the process.
+        signal.raise_signal(signal.SIGINT)
+    else:
+        os.kill(os.getpid(), signal.SIGINT)
 
 
 class Recorder:
@@ -38,6 +51,4 @@ def recorder():
 
 def pytest_configure() -> None:
     """Restores Python's handling of Ctrl-C, because a shell that runs the tests in the background ignores it."""
-    import signal
-
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -55,7 +55,7 @@ def test_bootstrap_continues_from_its_file(tmp_path: Path) -> None:
     # A stored value is used instead of another fit.
     saved["fits"]["2"] = [1.25]
     content = json.dumps(saved)
-    file.write_text(f"fmufit sha256 {hashlib.sha256(content.encode()).hexdigest()}\n{content}")
+    file.write_bytes(f"fmufit sha256 {hashlib.sha256(content.encode()).hexdigest()}\n{content}".encode())
     more = fit.bootstrap(7, workers=1, checkpoint=file)
     assert more.seed == 5 and more.samples[2] == 1.25
     whole = fit.bootstrap(7, rng=5).samples

@@ -7,6 +7,7 @@ import signal
 import threading
 import time
 
+from conftest import press_ctrl_c
 import numpy as np
 import pytest
 import recordings
@@ -429,7 +430,7 @@ def test_ctrl_c_ends_fit_with_best_point(presses):
         begun.wait(20.0)
         for _ in range(presses):
             pressed.append(time.monotonic())
-            os.kill(os.getpid(), signal.SIGINT)
+            press_ctrl_c()
             time.sleep(0.005)
 
     before = signal.getsignal(signal.SIGINT)
@@ -459,7 +460,7 @@ def test_ctrl_c_ends_long_simulation(call):
         step_size=2e-6,
         timeout=4.0,
     )
-    timer = threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT))
+    timer = threading.Timer(0.2, press_ctrl_c)
     start = time.monotonic()
     timer.start()
     with pytest.raises(pydfo.Interrupted):

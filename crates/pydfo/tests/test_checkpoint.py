@@ -15,7 +15,7 @@ import threading
 import time
 
 import pytest
-from conftest import Recorder
+from conftest import Recorder, press_ctrl_c
 from methods import METHODS, RUN, rosenbrock, timeless
 
 import pydfo
@@ -152,7 +152,7 @@ def test_ctrl_c_cancels_pending_executor_tasks(tmp_path):
     def func(x):
         started.append(1)
         if len(started) == 30:
-            os.kill(os.getpid(), signal.SIGINT)
+            press_ctrl_c()
             time.sleep(0.3)
         return rosenbrock(x)
 

@@ -6,7 +6,6 @@ import concurrent.futures
 import logging
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import textwrap
@@ -27,7 +26,7 @@ def slow_cost(x):
 
 def point_that_kills(x):
     if 0.4 < x[0] < 0.5:
-        os.kill(os.getpid(), signal.SIGKILL)
+        os._exit(9)
     return slow_cost(x)
 
 
@@ -315,6 +314,7 @@ def test_robust_losses_stages_and_noise_work_on_executor():
             assert (one.x.tobytes(), one.cost, one.nfev) == (other.x.tobytes(), other.cost, other.nfev), arguments
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="an open file can be opened after its removal")
 def test_missing_model_is_sent_to_worker(tmp_path, monkeypatch):
     from pydfo._calibration import simulation_executor as _engine
 
@@ -451,7 +451,7 @@ def kills_once(x, marker):
         except FileExistsError:
             pass
         else:
-            os.kill(os.getpid(), signal.SIGKILL)
+            os._exit(9)
     return slow_cost(x)
 
 

@@ -8,6 +8,7 @@ import pickle
 import threading
 import time
 
+from conftest import press_ctrl_c
 import fmus
 import numpy as np
 import pytest
@@ -324,7 +325,7 @@ def test_ctrl_c_ends_hanging_call(tmp_path):
         instance.set("k", 3.0)
         instance.initialize()
         instance.time = 0.5
-        threading.Timer(0.5, os.kill, (os.getpid(), 2)).start()
+        threading.Timer(0.5, press_ctrl_c).start()
         began = time.monotonic()
         with pytest.raises(pydfo.Interrupted):
             _ = instance.derivatives
@@ -335,7 +336,7 @@ def test_ctrl_c_ends_hanging_call(tmp_path):
 
 def test_ctrl_c_ends_integration(ball):
     ball.initialize()
-    threading.Timer(0.3, os.kill, (os.getpid(), 2)).start()
+    threading.Timer(0.3, press_ctrl_c).start()
     with pytest.raises(pydfo.Interrupted):
         ball.do_step(1.0, solver="euler", step_size=1e-9)
 

@@ -11,7 +11,7 @@ import threading
 import time
 
 import pytest
-from conftest import rosenbrock
+from conftest import press_ctrl_c, rosenbrock
 
 import pydfo
 from pydfo import fmin
@@ -27,7 +27,7 @@ def press(*after):
         start = time.monotonic()
         for seconds in after:
             time.sleep(max(0.0, start + seconds - time.monotonic()))
-            os.kill(os.getpid(), signal.SIGINT)
+            press_ctrl_c()
 
     thread = threading.Thread(target=run, daemon=True)
     thread.start()
@@ -74,7 +74,8 @@ def test_first_ctrl_c_waits_for_running_function(workers):
     assert len(ended) == workers == info.value.result.nfev
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+# On Windows, Python does not interrupt a function that waits on the main thread.
+@pytest.mark.parametrize("workers", [2] if sys.platform == "win32" else [1, 2])
 def test_second_ctrl_c_does_not_wait(workers):
     release = threading.Event()
     calls = []
@@ -164,7 +165,7 @@ def test_no_evaluation_starts_0_2_s_after_ctrl_c():
         return rosenbrock(x)
 
     pressed = []
-    thread = threading.Timer(0.3, lambda: (pressed.append(time.monotonic()), os.kill(os.getpid(), signal.SIGINT)))
+    thread = threading.Timer(0.3, lambda: (pressed.append(time.monotonic()), press_ctrl_c()))
     thread.start()
     with pytest.raises(pydfo.Interrupted):
         fmin(func, [-1.2, 1.0], nbr_cores=2, **ENDLESS)

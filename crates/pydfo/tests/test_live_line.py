@@ -2,7 +2,6 @@
 
 import io
 import os
-import pty
 import subprocess
 import sys
 import textwrap
@@ -14,6 +13,8 @@ import pytest
 from pydfo import Calibration, Parameter, example_fmu
 from pydfo._optimize import live_line as _live
 from pydfo._optimize.progress import Progress
+
+pty = pytest.importorskip("pty")
 
 TIME = np.linspace(0.0, 3.0, 31)
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import logging
-import os
 import signal
+import sys
 import threading
 import time
 
+from conftest import press_ctrl_c
 import fmus
 import numpy as np
 import pytest
@@ -362,7 +363,7 @@ def ctrl_c():
 
     def press():
         pressed.append(time.monotonic())
-        os.kill(os.getpid(), signal.SIGINT)
+        press_ctrl_c()
 
     threading.Timer(0.2, press).start()
     yield pressed
@@ -392,6 +393,7 @@ def test_ctrl_c_within_objective_ends_the_run(ctrl_c):
     assert time.monotonic() - ctrl_c[0] < 0.2
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")
 def test_exception_of_signal_handler_propagates():
     class Enough(Exception):
         pass

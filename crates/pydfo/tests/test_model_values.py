@@ -91,6 +91,7 @@ def test_unsupported_interface_is_rejected_but_described(tmp_path):
     assert description.model_exchange is None and description.co_simulation.model_identifier == "m"
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows does not replace an open file")
 def test_replaced_file_is_another_model(tmp_path):
     path = tmp_path / "m.fmu"
     shutil.copy(example_fmu("dahlquist"), path)
@@ -146,7 +147,7 @@ def test_no_files_remain_at_exit(script, tmp_path):
     check = f"other = FMUModel(path)\nother.simulate(final_time=1)\nassert os.listdir({str(unpacked)!r})\n"
     done = subprocess.run(
         [sys.executable, "-c", start + check + textwrap.dedent(script)],
-        env=os.environ | {"TMPDIR": str(unpacked)},
+        env=os.environ | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(unpacked)),
         capture_output=True,
         text=True,
         timeout=60,
@@ -481,7 +482,7 @@ def test_bad_folders_are_not_packed(tmp_path):
     assert not (tmp_path / "out.fmu").exists()
 
 
-@pytest.mark.parametrize("sandbox", [False, True])
+@pytest.mark.parametrize("sandbox", [False, True] if sys.platform == "linux" else [False])
 def test_workers_build_sources(tmp_path, monkeypatch, sandbox):
     folder = tmp_path / "folder"
     shutil.unpack_archive(example_fmu("dahlquist"), folder, format="zip")

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-import os
-import signal
 import threading
 
+from conftest import press_ctrl_c
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -177,7 +176,7 @@ def test_ctrl_c_ends_the_run():
         threading.Event().wait(0.001)
         return dy - np.cos(50 * t)
 
-    timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
+    timer = threading.Timer(0.3, press_ctrl_c)
     timer.start()
     with pytest.raises(pydfo.Interrupted) as caught:
         ode.solve_dae(slow, (0, 1e4), [0.0], rtol=1e-8)

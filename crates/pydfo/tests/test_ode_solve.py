@@ -4,10 +4,10 @@ terminations."""
 from __future__ import annotations
 
 import math
-import os
 import signal
 import time
 
+from conftest import press_ctrl_c
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -495,7 +495,7 @@ def test_ctrl_c_ends_with_partial_result():
     def rhs(t, y):
         calls.append(t)
         if len(calls) == 200:
-            os.kill(os.getpid(), signal.SIGINT)
+            press_ctrl_c()
         return circle(t, y)
 
     before = signal.getsignal(signal.SIGINT)

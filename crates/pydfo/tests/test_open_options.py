@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import pickle
+import sys
 
 import fmus
 import pytest
@@ -92,6 +93,7 @@ def test_failure_without_required_tool_is_explained(tmp_path):
         FMUModel(crashes).simulate(final_time=1.0, isolation="process")
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="options of the loader of Linux")
 @pytest.mark.parametrize("options", [{"deepbind": True}, {"lazy": True}])
 def test_libraries_load_with_other_options(options):
     res = load_fmu(example_fmu("dahlquist"), **options).simulate(final_time=1.0)

@@ -86,9 +86,15 @@ def test_interrupt_contains_partial_profile(tmp_path):
     calibration = Calibration(example_fmu("furuta"), recordings.furuta("own"), ANGLES, FRICTION, relative_tolerance=1e-11, solver="tsit5")
     fit, file = calibration.fit(), tmp_path / "profile.json"
 
+    def written():
+        try:
+            return file.read_text()
+        except OSError:
+            return ""  # not there yet; on Windows also while it is replaced
+
     def interrupt():
         # One side is complete, three are not.
-        while '"side"' not in (file.read_text() if file.exists() else ""):
+        while '"side"' not in written():
             time.sleep(1e-3)
         signal.raise_signal(signal.SIGINT)
 

@@ -311,7 +311,7 @@ def test_messages_show_file_names_as_given(tmp_path):
     for path, error in [(tmp_path / "nope.csv", FileNotFoundError), (tmp_path, IsADirectoryError)]:
         with pytest.raises(error) as info:
             decay(path)
-        assert "PosixPath" not in str(info.value) and str(path) in str(info.value)
+        assert "PosixPath" not in str(info.value) and repr(str(path)) in str(info.value)
     with pytest.raises(ValueError, match="zip archive"):
         decay(example_fmu("dahlquist"))
 

@@ -192,6 +192,7 @@ def test_executor_times_are_recorded_per_call():
 )
 def test_result_without_memory_is_an_error(isolation, message):
     """Runs in a process that may use 1 GiB more; 1e7 rows of 23 variables require 1.8 GB."""
+    pytest.importorskip("resource")
     program = f"""
 import resource, pydfo
 model = pydfo.FMUModel(pydfo.example_fmu("furuta"))

@@ -7,6 +7,7 @@ use crate::convert::error;
 use crate::convert::object;
 use crate::convert::record::read;
 use crate::convert::report::{self, ResultKind};
+use crate::model::files::allow_replacement;
 use crate::model::trajectory::Counts;
 use calibration::{BootstrapOptions, Calibration, CalibrationError, Fit, OutputResiduals, RunContext, Table};
 use numpy::{PyArray1, PyArray2};
@@ -213,6 +214,7 @@ impl PyFit {
         experiment: Option<String>,
         keep: bool,
     ) -> PyResult<(Option<PathBuf>, Option<PathBuf>, Option<String>)> {
+        allow_replacement(py);
         let written = self.compute(py, move |calibration, fit, context| {
             fit.export_fmu(calibration, path, experiment.as_deref(), keep, context)
         })?;

@@ -1,6 +1,7 @@
 //! Errors of optimisers and calibrations as Python exceptions, and how a run ends for the user. `fmu_error`
 //! converts the errors of models. `pydfo/_errors.py` defines and documents the exception classes.
 
+use super::os_error::{os_error, reason};
 use crate::convert::dict::dict;
 use crate::convert::fmu_error;
 use crate::interrupt::interrupt_guard::EndRequest;
@@ -121,11 +122,7 @@ fn file(action: &str, path: &Path, error: &io::Error) -> PyErr {
         _ if error.kind() == io::ErrorKind::OutOfMemory => {
             PyMemoryError::new_err(format!("{action} {}: {error}", path.display()))
         }
-        Some(number) => {
-            let text = error.to_string();
-            let reason = text.split(" (os error").next().unwrap_or(&text);
-            PyOSError::new_err((number, format!("{action}: {reason}"), path.as_os_str().to_owned()))
-        }
+        Some(number) => os_error(number, format!("{action}: {}", reason(error)), path),
         None => PyOSError::new_err(format!("{action} {}: {error}", path.display())),
     }
 }

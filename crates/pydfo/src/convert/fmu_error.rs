@@ -1,10 +1,10 @@
 //! Errors of models as Python exceptions: a class for each kind of mistake, with numbers if there are any.
 
+use super::os_error::{os_error, reason};
 use crate::convert::dict::dict;
 use calibration::visible_error;
 use fmi::FmiError;
 use fmi::error::{ReportedError, ReportedErrorKind};
-use pyo3::IntoPyObjectExt;
 use pyo3::exceptions::{PyFileNotFoundError, PyMemoryError, PyOSError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
@@ -22,7 +22,7 @@ pyo3::import_exception!(pydfo._errors, UnknownVariableError);
 pub(crate) fn raise(py: Python<'_>, error: &FmiError) -> PyErr {
     let message = visible_error(error);
     if let FmiError::Io { path, source, .. } = error {
-        return os_error(py, path, source, message);
+        return file_error(py, path, source, message);
     }
     let reported = error.reported();
     match reported.kind {
@@ -45,18 +45,16 @@ pub(crate) fn unusable(reason: &str) -> PyErr {
 }
 
 /// Creates `FileNotFoundError` or another OSError, with number and path as Python's functions do.
-fn os_error(py: Python<'_>, path: &Path, source: &io::Error, message: String) -> PyErr {
+fn file_error(py: Python<'_>, path: &Path, source: &io::Error, message: String) -> PyErr {
     // Errors that passed through other libraries have lost their number.
-    let number = match (source.raw_os_error(), source.kind()) {
-        (Some(number), _) => number.into_bound_py_any(py),
-        (None, io::ErrorKind::NotFound) => py.import("errno").and_then(|errno| errno.getattr("ENOENT")),
-        (None, io::ErrorKind::PermissionDenied) => {
-            py.import("errno").and_then(|errno| errno.getattr("EACCES"))
-        }
+    let name = match (source.raw_os_error(), source.kind()) {
+        (Some(number), _) => return os_error(number, reason(source), path),
+        (None, io::ErrorKind::NotFound) => "ENOENT",
+        (None, io::ErrorKind::PermissionDenied) => "EACCES",
         _ => return PyOSError::new_err(message),
     };
     let make = || -> PyResult<PyErr> {
-        let number = number?;
+        let number = py.import("errno")?.getattr(name)?;
         let reason = py.import("os")?.call_method1("strerror", (&number,))?;
         // Called, not raised by class, because OSError selects the subclass for the number when it is called.
         let exception = py.get_type::<PyOSError>().call1((number, reason, path.as_os_str()))?;

@@ -4,6 +4,7 @@ pub(crate) mod dict;
 pub(crate) mod error;
 pub(crate) mod fmu_error;
 pub(crate) mod object;
+mod os_error;
 pub(crate) mod record;
 pub(crate) mod report;
 pub(crate) mod values;

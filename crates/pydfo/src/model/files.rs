@@ -47,10 +47,18 @@ pub(crate) fn close_unused(py: Python<'_>) {
     py.detach(|| OPEN.clear());
 }
 
+/// Closes the FMUs kept open if the system does not replace open files. Called before an FMU is written.
+pub(crate) fn allow_replacement(py: Python<'_>) {
+    if cfg!(windows) {
+        close_unused(py);
+    }
+}
+
 /// Packs a folder into an FMU.
 #[pyfunction]
 pub(crate) fn build_fmu(py: Python<'_>, folder: PathBuf, out: PathBuf, platform: &str) -> PyResult<()> {
     let target = platform.parse::<BuildTarget>().map_err(|error| fmu_error::raise(py, &error))?;
+    allow_replacement(py);
     let done = watched(py, move |cancel| fmi::pack_for(&folder, &out, target, &cancel))?;
     logs::pass_on(py)?;
     done.map_err(|e| fmu_error::raise(py, &e))
