@@ -25,9 +25,9 @@ endef
 # $(call develop,options): builds the Python module and installs it into .venv.
 develop = @$(BIN)/maturin develop --quiet --manifest-path crates/pydfo/Cargo.toml $(1)
 
-.PHONY: help demo test test-rust test-python test-packaging test-engines test-windows windows-crates wine-crates wine-fits windows-worker windows-worker-32 windows-python test-long lint lint-windows bench bench-dfo doc pictures build fuzz sanitize nightly clean
+.PHONY: help demo test test-rust test-python test-packaging test-engines test-windows windows-crates wine-crates wine-fits wine-models windows-worker windows-worker-32 windows-python test-long lint lint-windows bench bench-dfo doc pictures build fuzz sanitize nightly clean
 help:  ## this list
-	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 18
+	@grep -hE '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z0-9-]+):.*## /\1\t/' | expand -t 18
 
 demo: $(VENV)/.demo  ## calibrate the Furuta pendulum against measurements, draw furuta.png
 	$(call develop,--profile quick --no-default-features)
@@ -87,7 +87,7 @@ windows-python: $(VENV)/.tools  ## the tests of the Python module under Wine; wa
 	$(call suite,Python tests under Wine,bash tools/windows_python.sh $(WINE) $(abspath $(WINDOWS_PYTHON)) $(BIN))
 
 # Not empty where 32-bit programs can be compiled and run.
-HAS_32 = $(and $(shell command -v i686-w64-mingw32-gcc),$(shell rustup target list --installed | grep $(WINDOWS_32)),$(wildcard target/wine/drive_c/windows/syswow64/ntdll.dll))
+HAS_32 = $(and $(shell command -v i686-w64-mingw32-gcc),$(shell rustup target list --installed | grep $(WINDOWS_32)),$(shell ls target/wine/drive_c/windows/syswow64/ntdll.dll 2>/dev/null))
 
 # The crates whose tests run under Wine.
 WINDOWS_CRATES ?= base ode dfo fmi calibration cli
@@ -101,13 +101,13 @@ else echo "skipped $@: it needs wine64, mingw-w64 and rustup target add $(WINDOW
 endef
 
 test-windows:  ## everything for Windows under Wine; skipped without wine64, mingw and `rustup target add x86_64-pc-windows-gnu`
-	$(call under_wine,wine-crates wine-fits)
+	$(call under_wine,wine-crates wine-fits wine-models)
 
 windows-crates:  ## its first part, the tests of the crates, or of those in WINDOWS_CRATES
 	$(call under_wine,wine-crates)
 
-wine-crates wine-fits: export WINEPREFIX := $(CURDIR)/target/wine
-wine-crates wine-fits: export WINEDEBUG := -all
+wine-crates wine-fits wine-models: export WINEPREFIX := $(CURDIR)/target/wine
+wine-crates wine-fits wine-models: export WINEDEBUG := -all
 wine-crates: $(VENV)/.tools
 	@bash tools/wine_prefix.sh $(WINE) $(WINEPREFIX)
 	$(call suite,tests under Wine,$(MINGW) CARGO_TARGET_X86_64_PC_WINDOWS_GNU_RUNNER=$(WINE) $(BIN)/python tools/wine_cc.py \
@@ -118,6 +118,10 @@ wine-fits: $(VENV)/.tools
 	@bash tools/wine_prefix.sh $(WINE) $(WINEPREFIX)
 	$(call suite,programs for Windows,$(MINGW) cargo build --quiet --target $(WINDOWS) --package fmufit-calibration --package fmufit-cli --bins)
 	$(call suite,fits under Wine,WINE=$(WINE) $(BIN)/python tools/windows_check.py $(WINDOWS_BUILT)/fmufit.exe target/windows-check)
+
+wine-models: $(VENV)/.tools
+	$(call develop)
+	@$(if $(HAS_32),:,echo "skipped 32-bit models: they need wine32 and a new target/wine; MinGW-w64 for i686; rustup target add $(WINDOWS_32)")
 	@$(MAKE) --no-print-directory windows-worker $(if $(HAS_32),windows-worker-32) WORKER_FOLDER=target/wine-workers
 	$(call suite,models for Windows,FMUFIT_WINE=$(WINE) $(BIN)/python tools/wine_check.py $(BIN)/fmufit target/wine-workers/win64/fmufit-worker.exe \
 		target/wine-check $(if $(HAS_32),target/wine-workers/win32/fmufit-worker.exe))

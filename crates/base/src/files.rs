@@ -325,7 +325,8 @@ impl AtomicFile {
 /// virus scanner. Such programs soon close it, so the replacement is tried again for half a second.
 fn replace(from: &Path, to: &Path) -> io::Result<()> {
     // ERROR_ACCESS_DENIED and ERROR_SHARING_VIOLATION.
-    let is_open = |error: &io::Error| cfg!(windows) && matches!(error.raw_os_error(), Some(5 | 32));
+    let is_open =
+        |error: &io::Error| cfg!(windows) && matches!(error.raw_os_error(), Some(5 | 32)) && to.is_file();
     for _ in 0..50 {
         match fs::rename(from, to) {
             Err(error) if is_open(&error) => std::thread::sleep(std::time::Duration::from_millis(10)),

@@ -314,7 +314,7 @@ def test_robust_losses_stages_and_noise_work_on_executor():
             assert (one.x.tobytes(), one.cost, one.nfev) == (other.x.tobytes(), other.cost, other.nfev), arguments
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="an open file can be opened after its removal")
+@pytest.mark.skipif(sys.platform == "win32", reason="under Wine, a removed file exists until it is closed")
 def test_missing_model_is_sent_to_worker(tmp_path, monkeypatch):
     from pydfo._calibration import simulation_executor as _engine
 

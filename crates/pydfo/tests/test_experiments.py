@@ -241,7 +241,7 @@ def test_pickle_contains_data_and_model_path(tmp_path):
     with pytest.raises(ValueError, match=r"model.fmu has changed .* content [0-9a-f]{64}, found [0-9a-f]{64}"):
         pickle.loads(stored)
     if sys.platform == "win32":
-        return  # An open file can be opened until it is closed.
+        return  # Under Wine, a removed file exists until it is closed.
     model.unlink()
     with pytest.raises(FileNotFoundError, match=r"content: [0-9a-f]{64}\) was not found.*model.fmu"):
         pickle.loads(stored)

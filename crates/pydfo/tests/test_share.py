@@ -91,7 +91,7 @@ def test_fit_can_be_copied_after_a_plot(fit):
     assert_same(pickle.loads(pickle.dumps(fit)), fit)
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="an open file exists after its removal")
+@pytest.mark.skipif(sys.platform == "win32", reason="under Wine, a removed file exists until it is closed")
 def test_fit_without_its_model_shows_its_numbers(fit, place, tmp_path):
     path, moved = tmp_path / "decay.fit", place.with_name("moved.fmu")
     fit.save(path)

@@ -44,7 +44,7 @@ pub enum FmiError {
         /// Reason.
         reason: String,
     },
-    /// The model has a library for Windows only, and no program that can run it was found.
+    /// The model has a library that only another program can run, and that program cannot be started.
     #[error("the model has {models}. {reason}")]
     NoWindowsProgram {
         /// What the model has, and how it runs.

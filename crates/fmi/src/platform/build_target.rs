@@ -15,7 +15,7 @@ words! {
         Native = "native",
         /// Windows on a 64-bit x86 processor. Other systems need the cross compiler of MinGW-w64.
         Win64 = "win64",
-        /// 32-bit Windows. All systems need the cross compiler of MinGW-w64.
+        /// 32-bit Windows. 64-bit systems need the cross compiler of MinGW-w64.
         Win32 = "win32",
     }
 }
@@ -78,22 +78,20 @@ impl BuildTarget {
     /// contraction to fused operations would make results depend on the processor. Assertions are disabled,
     /// as in libraries that tools deliver. A failed assertion would end the process (seen in the reset
     /// function of Dymola's sources).
-    pub(crate) fn options(self) -> &'static [&'static str] {
+    pub(crate) fn options(self) -> Vec<&'static str> {
+        let mut options = vec!["-O2", "-DNDEBUG", "-shared", "-ffp-contract=off"];
         if self.is_windows() {
-            &[
-                "-O2",
-                "-DNDEBUG",
-                "-shared",
-                "-static-libgcc",
-                "-ffp-contract=off",
-                // The same sources give the same file: no names of temporary files, no time, and an address that
-                // does not depend on the path of the library.
-                "-s",
-                "-Wl,--no-insert-timestamp,--disable-auto-image-base",
-            ]
+            // The same sources give the same file: no names of temporary files, no time, and an address that
+            // does not depend on the path of the library.
+            options.extend(["-static-libgcc", "-s", "-Wl,--no-insert-timestamp,--disable-auto-image-base"]);
         } else {
-            &["-O2", "-DNDEBUG", "-fPIC", "-shared", "-ffp-contract=off"]
+            options.push("-fPIC");
         }
+        if self == Self::Win32 {
+            // Otherwise, registers have more digits than memory.
+            options.extend(["-msse2", "-mfpmath=sse"]);
+        }
+        options
     }
 
     /// Returns the libraries that every model is linked with.

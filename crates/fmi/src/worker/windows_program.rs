@@ -36,12 +36,9 @@ impl WindowsProgram {
 
     /// Returns the launcher of its workers.
     pub(super) fn launcher(self) -> Result<Launcher, FmiError> {
-        let missing = |reason: String| FmiError::NoWindowsProgram { models: self.models(), reason };
-        let runs_here = match cfg!(windows) {
-            true => self == Self::Bits32,
-            false => cfg!(all(target_os = "linux", target_arch = "x86_64")),
-        };
-        if !runs_here {
+        let models = self.models();
+        let missing = |reason: String| FmiError::NoWindowsProgram { models, reason };
+        if !cfg!(any(windows, all(target_os = "linux", target_arch = "x86_64"))) {
             return Err(missing(
                 "Models of Windows run under Wine on Linux with an x86_64 processor only".to_owned(),
             ));
@@ -49,74 +46,59 @@ impl WindowsProgram {
         let wine = match cfg!(windows) {
             true => None,
             false => Some(named(WINE).map_err(missing)?.or_else(wine).ok_or_else(|| {
+                let package = self.pick("wine64", "wine32:i386");
                 missing(format!(
-                    "Wine was not found. Install it (Debian: apt install wine64), or set {WINE} to its path"
+                    "Wine was not found. Install it (Debian: apt install {package}), or set {WINE} to its path"
                 ))
             })?),
         };
         let program = named(self.variable()).map_err(missing)?.map_or_else(|| self.installed(), Ok);
         let program = program.map_err(missing)?;
-        Ok(Launcher { wine, models: Some(self.models()), ..Launcher::of(program) })
+        Ok(Launcher { wine, models: Some(models), ..Launcher::of(program) })
     }
 
     /// Returns the path at which the program is installed, or the reason why it is not.
     fn installed(self) -> Result<PathBuf, String> {
-        let program = data_folder().map(|folder| folder.join("fmufit").join(self.folder()).join(PROGRAM));
+        let folder = Path::new("fmufit").join(self.pick("win64", "win32"));
+        let program = data_folder().map(|data| data.join(folder).join(PROGRAM));
         let shown = program.as_deref().unwrap_or(Path::new(PROGRAM)).display().to_string();
         program.filter(|program| program.is_file()).ok_or_else(|| {
+            let (bits, recipe) = self.pick(("64-bit", "windows-worker"), ("32-bit", "windows-worker-32"));
+            let place = if cfg!(windows) { ", on Linux, and copy it there" } else { "" };
             format!(
-                "The {} worker program for Windows, {shown}, was not found. Build it with `make {}` in the \
-                 sources of this program, or set {} to its path",
-                self.bits(),
-                self.recipe(),
+                "The {bits} worker program for Windows, {shown}, was not found. Build it with `make {recipe}` in \
+                 the sources of this program{place}, or set {} to its path",
                 self.variable()
             )
         })
     }
 
-    /// Returns the name of its folder.
-    fn folder(self) -> &'static str {
-        match self {
-            Self::Bits64 => "win64",
-            Self::Bits32 => "win32",
-        }
-    }
-
-    fn bits(self) -> &'static str {
-        match self {
-            Self::Bits64 => "64-bit",
-            Self::Bits32 => "32-bit",
-        }
-    }
-
-    /// Returns the target of `make` that builds it.
-    fn recipe(self) -> &'static str {
-        match self {
-            Self::Bits64 => "windows-worker",
-            Self::Bits32 => "windows-worker-32",
-        }
-    }
-
     /// Returns the environment variable with its path.
     fn variable(self) -> &'static str {
-        match self {
-            Self::Bits64 => "FMUFIT_WINDOWS_WORKER",
-            Self::Bits32 => "FMUFIT_WINDOWS_WORKER_32",
-        }
+        self.pick("FMUFIT_WINDOWS_WORKER", "FMUFIT_WINDOWS_WORKER_32")
     }
 
     /// Describes what the models that need the program contain.
-    pub(crate) fn models(self) -> &'static str {
-        match (self, cfg!(windows)) {
-            (Self::Bits64, _) => "a library for Windows only, which runs under Wine",
-            (Self::Bits32, false) => "a 32-bit library for Windows only, which runs under Wine",
-            (Self::Bits32, true) => "a 32-bit library only, which runs as a 32-bit program",
+    fn models(self) -> &'static str {
+        if cfg!(windows) {
+            return "a 32-bit library only, which runs as a 32-bit program";
         }
+        self.pick(
+            "a library for Windows only, which runs under Wine",
+            "a 32-bit library for Windows only, which runs under Wine for 32 bits (Debian: wine32:i386)",
+        )
     }
 
     /// Describes where it runs, for a message.
     pub(crate) fn place(self) -> &'static str {
         if cfg!(windows) { "as a 32-bit program" } else { "under Wine" }
+    }
+
+    fn pick<T>(self, bits_64: T, bits_32: T) -> T {
+        match self {
+            Self::Bits64 => bits_64,
+            Self::Bits32 => bits_32,
+        }
     }
 }
 

@@ -146,8 +146,8 @@ pub(super) struct Document<'m> {
 struct PlatformFields {
     /// Name of the folder, for example `linux64` or `x86_64-windows`; `sources` for source code.
     name: String,
-    /// How it runs on this machine: `runs here`, `compiled here`, `runs here under Wine`, `does not run
-    /// here`.
+    /// How it runs on this machine: `runs here`, `compiled here`, `runs here under Wine`, `runs here in a
+    /// 32-bit process`, `does not run here`.
     runs_by: &'static str,
 }
 

@@ -61,8 +61,8 @@ pub(crate) fn calibration(py: Python<'_>, error: &calibration::CalibrationError)
     use calibration::CalibrationError as E;
     let message = calibration::visible_error(error);
     match error {
-        E::DataFile { path, source } => file("cannot read", path, source),
-        E::ReportFile { path, source } => file("cannot write", path, source),
+        E::DataFile { path, source } => file(py, "cannot read", path, source),
+        E::ReportFile { path, source } => file(py, "cannot write", path, source),
         E::Data { .. }
         | E::SavedFit { .. }
         | E::OtherModel { .. }
@@ -117,12 +117,12 @@ pub(crate) fn warn_as(py: Python<'_>, class: &Bound<'_, PyAny>, message: &str) -
 
 /// Converts an error of the operating system. Python selects the subclass, such as FileNotFoundError, from
 /// the number.
-fn file(action: &str, path: &Path, error: &io::Error) -> PyErr {
+fn file(py: Python<'_>, action: &str, path: &Path, error: &io::Error) -> PyErr {
     match error.raw_os_error() {
         _ if error.kind() == io::ErrorKind::OutOfMemory => {
             PyMemoryError::new_err(format!("{action} {}: {error}", path.display()))
         }
-        Some(number) => os_error(number, format!("{action}: {}", reason(error)), path),
+        Some(number) => os_error(py, number, &format!("{action}: {}", reason(error)), path),
         None => PyOSError::new_err(format!("{action} {}: {error}", path.display())),
     }
 }

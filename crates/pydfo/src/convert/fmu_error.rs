@@ -47,20 +47,20 @@ pub(crate) fn unusable(reason: &str) -> PyErr {
 /// Creates `FileNotFoundError` or another OSError, with number and path as Python's functions do.
 fn file_error(py: Python<'_>, path: &Path, source: &io::Error, message: String) -> PyErr {
     // Errors that passed through other libraries have lost their number.
-    let name = match (source.raw_os_error(), source.kind()) {
-        (Some(number), _) => return os_error(number, reason(source), path),
-        (None, io::ErrorKind::NotFound) => "ENOENT",
-        (None, io::ErrorKind::PermissionDenied) => "EACCES",
+    let number = match (source.raw_os_error(), source.kind()) {
+        (Some(number), _) => number,
+        // ENOENT and ERROR_FILE_NOT_FOUND; ERROR_ACCESS_DENIED and EACCES.
+        (None, io::ErrorKind::NotFound) => 2,
+        (None, io::ErrorKind::PermissionDenied) => {
+            if cfg!(windows) {
+                5
+            } else {
+                13
+            }
+        }
         _ => return PyOSError::new_err(message),
     };
-    let make = || -> PyResult<PyErr> {
-        let number = py.import("errno")?.getattr(name)?;
-        let reason = py.import("os")?.call_method1("strerror", (&number,))?;
-        // Called, not raised by class, because OSError selects the subclass for the number when it is called.
-        let exception = py.get_type::<PyOSError>().call1((number, reason, path.as_os_str()))?;
-        Ok(PyErr::from_value(exception))
-    };
-    make().unwrap_or_else(|e| e)
+    os_error(py, number, &reason(&io::Error::from_raw_os_error(number)), path)
 }
 
 fn simulation(py: Python<'_>, reported: ReportedError, message: String) -> PyErr {

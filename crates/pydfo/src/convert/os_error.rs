@@ -7,12 +7,14 @@ use std::path::Path;
 
 /// Creates OSError with the system's number for it. Python selects the subclass, such as FileNotFoundError,
 /// from the number, and converts a number of Windows to `errno`.
-pub(super) fn os_error(number: i32, reason: String, path: &Path) -> PyErr {
-    let path = path.as_os_str().to_owned();
-    match cfg!(windows) {
-        true => PyOSError::new_err((0, reason, path, number)),
-        false => PyOSError::new_err((number, reason, path)),
-    }
+pub(super) fn os_error(py: Python<'_>, number: i32, reason: &str, path: &Path) -> PyErr {
+    let (class, path) = (py.get_type::<PyOSError>(), path.as_os_str());
+    // Called, not raised by class, because OSError selects the subclass when it is called.
+    let exception = match cfg!(windows) {
+        true => class.call1((0, reason, path, number)),
+        false => class.call1((number, reason, path)),
+    };
+    exception.map_or_else(|error| error, PyErr::from_value)
 }
 
 /// Returns the text of an error, without its number.

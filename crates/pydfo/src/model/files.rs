@@ -41,7 +41,7 @@ pub(crate) fn watched<T: Send>(py: Python<'_>, work: impl FnOnce(CancelRequest) 
     if watch.stop().is_requested() { Err(watch.interrupted()) } else { Ok(done) }
 }
 
-/// Closes the FMUs kept open. Called when the interpreter ends, so that no unpacked folder remains.
+/// Closes the FMUs kept open. The interpreter calls it at its end, so that no unpacked folder remains.
 #[pyfunction]
 pub(crate) fn close_unused(py: Python<'_>) {
     py.detach(|| OPEN.clear());
