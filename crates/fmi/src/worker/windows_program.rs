@@ -9,9 +9,8 @@ use std::path::{Path, PathBuf};
 /// Path of Wine.
 const WINE: &str = "FMUFIT_WINE";
 
-/// Names of Wine on the search path, and a place outside of it (Debian).
-const NAMES: [&str; 2] = ["wine64", "wine"];
-const ELSEWHERE: &str = "/usr/lib/wine/wine64";
+/// Folder of Wine outside of the search path (Debian).
+const ELSEWHERE: &str = "/usr/lib/wine";
 
 /// File name of the worker programs.
 const PROGRAM: &str = "fmufit-worker.exe";
@@ -45,7 +44,7 @@ impl WindowsProgram {
         }
         let wine = match cfg!(windows) {
             true => None,
-            false => Some(named(WINE).map_err(missing)?.or_else(wine).ok_or_else(|| {
+            false => Some(self.wine().map_err(missing)?.ok_or_else(|| {
                 let package = self.pick("wine64", "wine32:i386");
                 missing(format!(
                     "Wine was not found. Install it (Debian: apt install {package}), or set {WINE} to its path"
@@ -55,6 +54,21 @@ impl WindowsProgram {
         let program = named(self.variable()).map_err(missing)?.map_or_else(|| self.installed(), Ok);
         let program = program.map_err(missing)?;
         Ok(Launcher { wine, models: Some(models), ..Launcher::of(program) })
+    }
+
+    /// Returns the path of Wine. `wine64` would start a 32-bit program as a process of its own, whose memory
+    /// could not be limited and which could not be ended. `wine` replaces itself by the program.
+    fn wine(self) -> Result<Option<PathBuf>, String> {
+        if let Some(path) = named(WINE)? {
+            let other = path.with_file_name("wine");
+            let is_replaced = self == Self::Bits32 && path.ends_with("wine64") && other.is_file();
+            return Ok(Some(if is_replaced { other } else { path }));
+        }
+        let mut folders: Vec<PathBuf> = env::var_os("PATH").iter().flat_map(env::split_paths).collect();
+        folders.push(PathBuf::from(ELSEWHERE));
+        let names: &[&str] = self.pick(&["wine64", "wine"], &["wine"]);
+        let mut found = names.iter().flat_map(|name| folders.iter().map(move |folder| folder.join(name)));
+        Ok(found.find(|path| path.is_file()))
     }
 
     /// Returns the path at which the program is installed, or the reason why it is not.
@@ -111,12 +125,6 @@ fn named(variable: &str) -> Result<Option<PathBuf>, String> {
         true => Ok(Some(path)),
         false => Err(format!("{variable} = {} is not a file", path.display())),
     }
-}
-
-fn wine() -> Option<PathBuf> {
-    let folders: Vec<PathBuf> = env::var_os("PATH").iter().flat_map(env::split_paths).collect();
-    let found = NAMES.iter().flat_map(|name| folders.iter().map(move |folder| folder.join(name)));
-    found.chain([PathBuf::from(ELSEWHERE)]).find(|path| path.is_file())
 }
 
 /// Returns the user's folder for data of programs.
