@@ -86,7 +86,7 @@ windows-python: $(VENV)/.tools  ## the tests of the Python module under Wine; wa
 	@bash tools/wine_prefix.sh $(WINE) $(WINEPREFIX)
 	$(call suite,Python tests under Wine,bash tools/windows_python.sh $(WINE) $(abspath $(WINDOWS_PYTHON)) $(BIN))
 
-# Not empty where 32-bit programs can be compiled and run.
+# Not empty if 32-bit programs can be compiled and run.
 HAS_32 = $(and $(shell command -v i686-w64-mingw32-gcc),$(shell rustup target list --installed | grep $(WINDOWS_32)),$(shell ls target/wine/drive_c/windows/syswow64/ntdll.dll 2>/dev/null))
 
 # The crates whose tests run under Wine.

@@ -354,12 +354,15 @@ impl Fmu {
 
     /// Returns the worker program for a library of the FMU, if it has none for this platform.
     pub fn windows_program(&self) -> Option<WindowsProgram> {
-        let libraries = [
-            (RunsBy::Loading, None),
-            (RunsBy::Wine, Some(WindowsProgram::Bits64)),
-            (RunsBy::Process32, Some(WindowsProgram::Bits32)),
-        ];
-        libraries.into_iter().find(|(runs_by, _)| self.runs_by(*runs_by))?.1
+        let platforms = self.platforms().ok()?;
+        let has = |runs_by| platforms.iter().any(|platform| platform.runs_by == runs_by);
+        if has(RunsBy::Loading) {
+            None
+        } else if has(RunsBy::Wine) {
+            Some(WindowsProgram::Bits64)
+        } else {
+            has(RunsBy::Process32).then_some(WindowsProgram::Bits32)
+        }
     }
 
     /// True if a part of the FMU runs like this. An error counts as false; it is reported when the files are

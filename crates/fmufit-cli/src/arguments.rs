@@ -571,7 +571,7 @@ pub(crate) struct Build {
     /// The .fmu file to write; default: named after the folder, next to it
     pub(crate) output: Option<PathBuf>,
     /// The platform of the library. The compiler is CC, or one of cc, gcc and clang. For Windows it is
-    /// CC_x86_64_pc_windows_gnu or CC_i686_pc_windows_gnu, by default that of MinGW-w64
+    /// CC_x86_64_pc_windows_gnu or CC_i686_pc_windows_gnu, by default the compiler of MinGW-w64
     #[arg(long, value_name = "PLATFORM", default_value = "native", value_parser = platforms())]
     pub(crate) platform: BuildTarget,
 }

@@ -55,7 +55,7 @@ def build_fmu(folder: PathLike, out: PathLike, *, platform: str = "native") -> P
         The file to write. An existing file is replaced.
     platform : {'native', 'win64', 'win32'}, optional
         The platform of the library: this one (compiler ``CC``, otherwise ``cc``, ``gcc`` or ``clang``), or Windows
-        (compiler ``CC_x86_64_pc_windows_gnu`` or ``CC_i686_pc_windows_gnu``, otherwise that of MinGW-w64).
+        (compiler ``CC_x86_64_pc_windows_gnu`` or ``CC_i686_pc_windows_gnu``, otherwise the compiler of MinGW-w64).
 
     Returns
     -------
